@@ -84,21 +84,22 @@ def stanford(d2: float = 0.154, d1: float = 0.0, tool: float = 0.0) -> str:
 def puma(a2: float = 0.432, a3: float = 0.433, d1: float = 0.0, d6: float = 0.1) -> str:
     """Return the PUMA-type 6R arm of 002 (classic DH: no shoulder offset), stretched along x at q = 0.
 
-    Axes at q = 0: z, then -y twice (joint angles lift the arm), then a spherical wrist z, y, z whose first axis is
-    normal to the forearm as in the notes' R_6^3; tool point d6 [m] along the last axis.
+    Axes at q = 0: z, then -y twice (positive angles lift the arm), then a spherical wrist x, -y, x whose first axis
+    is the forearm; tool point d6 [m] along the last axis. (With the frames printed in 002, axis 4 would be parallel to
+    axes 2 and 3: between T_3^0 and R_6^3 the notes leave out a turn by 90 degrees.)
     """
-    lift, y, z = (0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+    x, lift, z = (1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)
     return urdf(
         "puma",
         [
             Joint((0, 0, d1), z),
             Joint((0, 0, 0), lift),
             Joint((a2, 0, 0), lift),
-            Joint((a3, 0, 0), z),
-            Joint((0, 0, 0), y),
-            Joint((0, 0, 0), z),
+            Joint((a3, 0, 0), x),
+            Joint((0, 0, 0), lift),
+            Joint((0, 0, 0), x),
         ],
-        (0, 0, d6),
+        (d6, 0, 0),
     )
 
 
