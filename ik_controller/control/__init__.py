@@ -1,0 +1,1 @@
+"""Control: reference, law, limits, controller, status. A pure function of its arguments and state; no clock, no ROS."""

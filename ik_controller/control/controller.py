@@ -1,0 +1,177 @@
+"""Controller: one cycle of the closed loop, a pure function of its state and arguments.
+
+State is the last commanded position and velocity, nothing else; the same calls from the same `reset` give the same bits.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ik_controller.control.bounded import bounded_velocity
+from ik_controller.control.law import Law
+from ik_controller.control.limits import JointLimits
+from ik_controller.control.reference import Reference
+from ik_controller.control.status import Code, Limit, Status
+from ik_controller.errors import ArgumentError, ParameterError, choices
+from ik_controller.kinematics.model import RobotModel
+from ik_controller.parameters import ControllerParameters, gain_matrix
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class Step:
+    """The outcome of one cycle: the command for its end, and what was seen at its start.
+
+    `position` (n,) [rad or m] and `velocity` (n,) [rad/s or m/s]: the command; `error` (6,) (position [m], rotation
+    [rad]): reference ⊖ tool at the cycle's start, zero without a pose reference; `status`.
+    """
+
+    position: Array
+    velocity: Array
+    error: Array
+    status: Status
+
+
+class Controller:
+    """The closed loop of N11 within the joints' limits: `reset(q)`, then `step(q_measured, reference, dt)` every cycle."""
+
+    def __init__(self, model: RobotModel, parameters: ControllerParameters | None = None) -> None:
+        """Raises ParameterError where a list's length does not fit the model's joints."""
+        self.model = model
+        self._q: Array | None = None
+        self._v = np.zeros(model.n)
+        self._fresh = False
+        self.parameters = ControllerParameters()
+        self.set_parameters(parameters or self.parameters)
+
+    def set_parameters(self, parameters: ControllerParameters) -> None:
+        """Take new parameters between two cycles; the command goes on without a jump. Raises ParameterError."""
+        posture = parameters.posture
+        if posture and len(posture) != self.model.n:
+            names = choices(self.model.joint_names)
+            raise ParameterError(f"posture: {len(posture)} values, need {self.model.n}, one for each of {names}")
+        self._law = Law(self.model, parameters)
+        self._limits = JointLimits(self.model, parameters.velocity_scale, parameters.acceleration_scale)
+        self._checked_dt = 1.0 / parameters.rate
+        self.parameters = parameters
+
+    @property
+    def position(self) -> Array | None:
+        """The last commanded position (n,), None before the first `reset`."""
+        return self._q
+
+    @property
+    def velocity(self) -> Array:
+        """The last commanded velocity (n,)."""
+        return self._v
+
+    def reset(self, q: ArrayLike) -> None:
+        """Start at the measured q (n,), at rest: the next step commands exactly q. Raises ArgumentError if not (n,) finite."""
+        position = np.array(q, dtype=float)
+        if position.shape != (self.model.n,) or not np.isfinite(position).all():
+            raise ArgumentError(f"q: need {self.model.n} finite values, got {position.tolist()}")
+        self._q = position
+        self._v = np.zeros(self.model.n)
+        self._fresh = True
+
+    def step(self, q_measured: Array | None, reference: Reference | None, dt: float) -> Step:
+        """Advance one cycle of dt [s] and return the command for its end.
+
+        `q_measured` (n,): the joints as measured, None if that is too old; `reference`: the set point, None if there is
+        none: the arm then brakes within its limits and holds. Raises ArgumentError for a dt that is not positive,
+        ParameterError where gain times dt is above 1; conditions of the run are in the status.
+        """
+        if self._q is None:
+            if q_measured is None:
+                raise ArgumentError("step: call reset(q) with a measured position first")
+            self.reset(q_measured)
+        if dt != self._checked_dt:
+            if not 0.0 < dt < math.inf:
+                raise ArgumentError(f"dt = {dt}: need a positive time")
+            gain_matrix(self.parameters.gain, dt)
+            self._checked_dt = dt
+        q, v = self._q, self._v
+        assert q is not None
+        if self._fresh:
+            self._fresh = False
+            code = Code.HOLDING if reference is None else Code.TRACKING
+            error = np.zeros(6) if reference is None else self._law.observe(reference, q)
+            return Step(q, v, error, Status(code))
+
+        base = self.parameters.integration_base
+        if base == "bounded" and q_measured is not None:
+            deviation = self.parameters.max_deviation
+            self._limits.update(q, v, dt, q_measured - deviation, q_measured + deviation)
+        else:
+            self._limits.update(q, v, dt)
+        if reference is None or q_measured is None:
+            return self._stop(dt, Code.NO_FEEDBACK if q_measured is None else Code.HOLDING)
+        if reference.joints is not None:
+            return self._follow_joints(reference, dt)
+        return self._follow_tool(reference, q_measured if base == "measured" else q, dt)
+
+    # -- the three ways to move
+
+    def _follow_tool(self, reference: Reference, at: Array, dt: float) -> Step:
+        law, limits = self._law, self._limits
+        task, null = law.velocity(reference, at, self._v, dt)
+        wanted = task if null is None else task + null
+        within = np.fmin(np.fmax(wanted, limits.low), limits.high)
+        sigma, damped = law.inverse.smallest_singular_value, law.inverse.damped
+        if within.tobytes() == wanted.tobytes():
+            return self._commit(wanted, dt, law.error, Status(Code.TRACKING, 1.0, Limit.NONE, -1, damped, sigma))
+        if not math.isfinite(wanted.dot(wanted)):
+            return self._stop(dt, Code.HOLDING)
+        inverse = law.inverse
+        velocity, scale, _ = bounded_velocity(
+            wanted, law.jacobian, inverse.eigenvalues, inverse.directions, limits.low, limits.high, limits.velocity
+        )
+        joint = int(np.argmax(np.abs(wanted - within) / limits.velocity))
+        limit = self._limit(joint, wanted.item(joint), dt)
+        return self._commit(velocity, dt, law.error, Status(Code.TRACKING, scale, limit, joint, damped, sigma))
+
+    def _follow_joints(self, reference: Reference, dt: float) -> Step:
+        """Joint-space target: q̇ = q̇_d + K (q_d − q), slowed as one where a joint must brake or is at a limit."""
+        limits = self._limits
+        assert reference.joints is not None and reference.joint_velocity is not None and self._q is not None
+        gain = self._law.slowest_gain
+        feedback = gain * (reference.joints - self._q)
+        ratio = gain * float((np.abs(feedback) / (0.7 * limits.acceleration)).max())
+        if ratio > 1.0:
+            feedback *= math.sqrt(2.0 * ratio - 1.0) / ratio
+        wanted = reference.joint_velocity + feedback
+        if not math.isfinite(wanted.dot(wanted)):
+            return self._stop(dt, Code.HOLDING)
+        excess = float((np.abs(wanted) / limits.velocity).max())
+        scale = 1.0 / max(excess, 1.0)
+        velocity = np.fmin(np.fmax(scale * wanted, limits.low), limits.high)
+        gap = np.abs(wanted - velocity)
+        joint = int(np.argmax(gap))
+        limit = self._limit(joint, wanted.item(joint), dt) if gap.item(joint) > 0.0 else Limit.NONE
+        status = Status(Code.TRACKING, scale, limit, joint if limit is not Limit.NONE else -1)
+        return self._commit(velocity, dt, np.zeros(6), status)
+
+    def _stop(self, dt: float, code: Code) -> Step:
+        """Brake all joints as one, so that the arm stops along its joint-space direction, then hold."""
+        limits, v = self._limits, self._v
+        cycles = float((np.abs(v) / limits.acceleration).max()) / dt
+        keep = max(1.0 - 1.0 / cycles, 0.0) if cycles > 0.0 else 0.0
+        velocity = np.fmin(np.fmax(keep * v, limits.low), limits.high)
+        if velocity.any() and code is Code.HOLDING:
+            code = Code.STOPPING
+        return self._commit(velocity, dt, np.zeros(6), Status(code))
+
+    def _limit(self, joint: int, wanted: float, dt: float) -> Limit:
+        assert self._q is not None
+        return self._limits.which(joint, wanted, self._q, self._v, dt)
+
+    def _commit(self, velocity: Array, dt: float, error: Array, status: Status) -> Step:
+        assert self._q is not None
+        self._v = velocity
+        self._q = self._q + dt * velocity
+        return Step(self._q, velocity, error, status)

@@ -1,0 +1,81 @@
+"""Reference: the set point of one cycle.
+
+A tool reference holds the pose x_d at the cycle's start and the twist that moves it over the cycle, ẋ_d. Given as the
+*secant* (x_d(t + dt) ⊖ x_d(t)) / dt, the feed-forward is exact at the end of each cycle, whatever dt; an instantaneous
+twist is a first-order approximation of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import ArrayLike, NDArray
+
+from ik_controller.errors import ArgumentError
+from ik_controller.kinematics.model import pose_from
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A set point: a tool pose with its twist, a twist alone, or joint positions with their velocities.
+
+    `position` (3,) [m], `rotation` (3, 3), `twist` (6,) (v, ω) [m/s, rad/s] in the base frame; `joints` (n,) [rad or m],
+    `joint_velocity` (n,). Prefer the constructors `pose`, `velocity`, `between` and `joint`.
+    """
+
+    position: Array | None = None
+    rotation: Array | None = None
+    twist: Array | None = None
+    joints: Array | None = None
+    joint_velocity: Array | None = None
+
+    @classmethod
+    def pose(cls, pose: Any, twist: ArrayLike | None = None) -> Reference:
+        """Make a tool reference of a `pin.SE3` or (7,) x y z qx qy qz qw [m], and a twist (6,), zero unless given.
+
+        Raises ArgumentError where a shape is wrong, a value is not finite or the quaternion is off unit by 1e-3.
+        """
+        placement = pose if isinstance(pose, pin.SE3) else pose_from(pose)
+        return cls(
+            position=np.array(placement.translation),
+            rotation=np.array(placement.rotation),
+            twist=np.zeros(6) if twist is None else _vector(twist, "twist", 6),
+        )
+
+    @classmethod
+    def velocity(cls, twist: ArrayLike) -> Reference:
+        """Make a pure velocity command (6,) (v, ω) [m/s, rad/s] of the tool point, in the base frame."""
+        return cls(twist=_vector(twist, "twist", 6))
+
+    @classmethod
+    def between(cls, now: Any, then: Any, dt: float) -> Reference:
+        """Make the reference that moves from pose `now` to pose `then` within dt [s]; poses as in `pose`."""
+        if not dt > 0.0:
+            raise ArgumentError(f"dt = {dt}: need a positive time")
+        start = now if isinstance(now, pin.SE3) else pose_from(now)
+        end = then if isinstance(then, pin.SE3) else pose_from(then)
+        turn = pin.log3(end.rotation @ start.rotation.T)
+        return cls.pose(start, np.concatenate((end.translation - start.translation, turn)) / dt)
+
+    @classmethod
+    def joint(cls, joints: ArrayLike, velocity: ArrayLike | None = None) -> Reference:
+        """Make a joint-space reference (n,) [rad or m] with velocities (n,), zero unless given."""
+        target = _vector(joints, "joints", None)
+        rate = np.zeros_like(target) if velocity is None else _vector(velocity, "joint velocity", target.size)
+        return cls(joints=target, joint_velocity=rate)
+
+
+def _vector(values: ArrayLike, name: str, size: int | None) -> Array:
+    vector = np.array(values, dtype=float)
+    if vector.ndim != 1 or (size is not None and vector.size != size):
+        raise ArgumentError(
+            f"{name}: need {size if size is not None else 'a list of'} values, got shape {vector.shape}"
+        )
+    if not np.isfinite(vector).all():
+        raise ArgumentError(f"{name}: values must be finite: {vector.tolist()}")
+    return vector

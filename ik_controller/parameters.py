@@ -1,0 +1,339 @@
+"""Every parameter once: name, type, default, unit, bounds, description.
+
+The ROS declaration, YAML files, validation and the documentation's table are all made from `ControllerParameters`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ik_controller.errors import ParameterError, choices
+
+SECTIONS = ("robot", "limits", "law", "reference", "node", "recording")
+
+ORIENTATION_ERRORS = (
+    "exponential_base",
+    "exponential_tool",
+    "quaternion",
+    "instantaneous",
+    "euler_relative_tool",
+    "euler_difference_zyx",
+    "euler_difference_xyz",
+    "euler_difference_zxz",
+)
+
+
+@dataclass(frozen=True)
+class Spec:
+    """What is known of one parameter besides its name; `kind` is its Python type as text."""
+
+    name: str
+    kind: str
+    default: Any
+    section: str
+    description: str
+    unit: str
+    low: float | None
+    high: float | None
+    legal: tuple[str, ...]
+    lengths: tuple[int, ...]
+    read_only: bool
+
+    @property
+    def bounds(self) -> str:
+        """The legal values as text, for error lines and the table."""
+        if self.legal:
+            return choices(self.legal)
+        low = "" if self.low is None else f"≥ {self.low:g}"
+        high = "" if self.high is None else f"≤ {self.high:g}"
+        return ", ".join(part for part in (low, high) if part)
+
+
+def _p(
+    default: Any,
+    section: str,
+    description: str,
+    *,
+    unit: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    legal: tuple[str, ...] = (),
+    lengths: tuple[int, ...] = (),
+    read_only: bool = False,
+) -> Any:
+    metadata = {
+        "section": section,
+        "description": description,
+        "unit": unit,
+        "low": low,
+        "high": high,
+        "legal": legal,
+        "lengths": lengths,
+        "read_only": read_only,
+    }
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class ControllerParameters:
+    """All parameters, checked when made. Raises ParameterError naming the parameter and its legal values.
+
+    Lists of joint values follow the model's joint order; an empty list takes the model's own.
+    """
+
+    # robot
+    robot: str = _p("", "robot", "Bundled robot; empty: `urdf`, else the topic robot_description.", read_only=True)
+    urdf: str = _p("", "robot", "URDF file; empty: the topic robot_description.", read_only=True)
+    tip_frame: str = _p("", "robot", "Link that carries the tool.", read_only=True)
+    base_frame: str = _p("", "robot", "Link in which targets are expressed; empty: the root link.", read_only=True)
+    tool_offset: tuple[float, ...] = _p(
+        (),
+        "robot",
+        "Tool point in the tip frame: x y z qx qy qz qw; empty: the tip itself.",
+        unit="m, 1",
+        lengths=(0, 7),
+    )
+    locked_joint_names: tuple[str, ...] = _p(
+        (), "robot", "Joints outside the chain that are locked elsewhere than at 0.", read_only=True
+    )
+    locked_joint_values: tuple[float, ...] = _p(
+        (), "robot", "Their values, in the same order.", unit="rad, m", read_only=True
+    )
+    # limits
+    position_lower: tuple[float, ...] = _p((), "limits", "Lower joint limits; empty: the URDF's.", unit="rad, m")
+    position_upper: tuple[float, ...] = _p((), "limits", "Upper joint limits; empty: the URDF's.", unit="rad, m")
+    velocity_limits: tuple[float, ...] = _p((), "limits", "Joint speed limits; empty: the URDF's.", unit="rad/s, m/s")
+    acceleration_limits: tuple[float, ...] = _p(
+        (), "limits", "Joint acceleration limits; empty: full speed in 0.25 s.", unit="rad/s², m/s²"
+    )
+    velocity_scale: float = _p(1.0, "limits", "Factor on all speed limits.", low=0.001, high=1.0)
+    acceleration_scale: float = _p(1.0, "limits", "Factor on all acceleration limits.", low=0.001, high=1.0)
+    # law
+    gain: tuple[float, ...] = _p(
+        (50.0,),
+        "law",
+        "K of q̇ = J⁺(ẋ_d + K e): one value, 6 (x y z, rotation about x y z) or 36 (rows of a 6×6 matrix); "
+        "positive definite, and K / rate ≤ 1.",
+        unit="1/s",
+        lengths=(1, 6, 36),
+    )
+    feed_forward: bool = _p(True, "law", "Use the target's velocity ẋ_d; without it a moving target is trailed.")
+    orientation_error: str = _p(
+        "exponential_base", "law", "Orientation part of e (notes N4).", legal=ORIENTATION_ERRORS
+    )
+    damping: float = _p(0.05, "law", "Largest damping λ, reached at a singularity.", low=0.0, high=10.0)
+    singular_value_threshold: float = _p(
+        0.04, "law", "Directions whose singular value is below this are damped; others are exact.", low=0.0, high=10.0
+    )
+    posture: tuple[float, ...] = _p(
+        (), "law", "Joint posture that redundancy is used for; empty: none is sought.", unit="rad, m"
+    )
+    posture_gain: float = _p(1.0, "law", "Rate at which the posture is sought, in the null space.", unit="1/s", low=0.0)
+    integration_base: str = _p(
+        "commanded",
+        "law",
+        "Where e and J are taken: at the commanded joints, at the measured ones, or at the commanded ones kept "
+        "within max_deviation of the measured.",
+        legal=("commanded", "measured", "bounded"),
+    )
+    max_deviation: float = _p(
+        0.1, "law", "Largest commanded minus measured joint position, for integration_base bounded.", unit="rad, m",
+        low=1e-6,
+    )  # fmt: skip
+    # reference
+    reference_mode: str = _p(
+        "extrapolate",
+        "reference",
+        "Between samples: go on with the last twist, or interpolate `reference_delay` in the past.",
+        legal=("extrapolate", "interpolate"),
+    )
+    reference_delay: float = _p(
+        0.03, "reference", "How far in the past to interpolate; take two sample periods.", unit="s", low=0.0, high=1.0
+    )
+    command_timeout: float = _p(
+        0.1, "reference", "Targets older than this, by arrival, stop the arm.", unit="s", low=0.001, high=10.0
+    )
+    feedback_timeout: float = _p(
+        0.1, "reference", "joint_states older than this, by arrival, halt the arm.", unit="s", low=0.001, high=10.0
+    )
+    stamp_tolerance: float = _p(
+        0.5,
+        "reference",
+        "A stamp further than this from the arrival is of another clock: only its spacing is used.",
+        unit="s",
+        low=0.0,
+    )
+    # node
+    rate: float = _p(1000.0, "node", "Control cycles a second.", unit="Hz", low=100.0, high=1000.0, read_only=True)
+    monitor_rate: float = _p(
+        100.0, "node", "~/current_pose and ~/tracking_error a second.", unit="Hz", low=0.1, high=1000.0, read_only=True
+    )
+    status_rate: float = _p(10.0, "node", "~/status a second.", unit="Hz", low=0.1, high=100.0, read_only=True)
+    # recording
+    record: bool = _p(True, "recording", "Record from the start; the service ~/record switches it.")
+    record_folder: str = _p("runs", "recording", "Folder that gets one bag a run.", read_only=True)
+    record_compression: str = _p(
+        "zstd", "recording", "Compression of the bag.", legal=("zstd", "lz4", "none"), read_only=True
+    )
+
+    def __post_init__(self) -> None:
+        for spec in specs():
+            object.__setattr__(self, spec.name, _checked(spec, getattr(self, spec.name)))
+        gain_matrix(self.gain, 1.0 / self.rate)
+        if len(self.locked_joint_names) != len(self.locked_joint_values):
+            raise ParameterError(
+                f"locked_joint_values: {len(self.locked_joint_values)} values for "
+                f"{len(self.locked_joint_names)} locked_joint_names"
+            )
+        if self.reference_mode == "interpolate" and self.reference_delay >= self.command_timeout:
+            raise ParameterError(
+                f"reference_delay {self.reference_delay:g} s must be below command_timeout {self.command_timeout:g} s"
+            )
+
+    # -- making one from what users write
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any]) -> ControllerParameters:
+        """Make parameters from names and values. Raises ParameterError for an unknown name or a bad value."""
+        return cls().replace(values)
+
+    def replace(self, values: Mapping[str, Any]) -> ControllerParameters:
+        """Return a copy with some values changed. Raises ParameterError as `from_mapping`."""
+        known = {spec.name for spec in specs()}
+        for name in values:
+            if name not in known:
+                near = difflib.get_close_matches(name, known, n=3) or sorted(known)
+                raise ParameterError(f"unknown parameter '{name}'; did you mean: {choices(near)}")
+        return dataclasses.replace(self, **dict(values))
+
+    @classmethod
+    def from_yaml(cls, path: str | Path) -> ControllerParameters:
+        """Read a ROS 2 parameter file (`NODE: ros__parameters: …`) or plain `name: value` YAML.
+
+        Raises ParameterError: file missing, not YAML, no parameters in it, unknown name, bad value.
+        """
+        return cls.from_mapping(yaml_values(path))
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return names and values as plain JSON types (lists for tuples)."""
+        return {
+            spec.name: list(value) if isinstance(value := getattr(self, spec.name), tuple) else value
+            for spec in specs()
+        }
+
+
+def specs() -> Iterator[Spec]:
+    """Yield every parameter's Spec in the order of the documentation."""
+    for item in dataclasses.fields(ControllerParameters):
+        yield Spec(name=item.name, kind=str(item.type), default=item.default, **item.metadata)
+
+
+def yaml_values(path: str | Path) -> dict[str, Any]:
+    """Return the names and values in a parameter file; see `ControllerParameters.from_yaml`."""
+    import yaml
+
+    try:
+        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not text"
+        raise ParameterError(f"parameter file '{path}' cannot be read: {reason}") from None
+    except yaml.YAMLError as error:
+        raise ParameterError(f"parameter file '{path}' is not YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(content, dict):
+        raise ParameterError(f"parameter file '{path}' holds no parameters")
+    nodes = [value["ros__parameters"] for value in content.values() if _is_ros_section(value)]
+    if len(nodes) > 1:
+        raise ParameterError(f"parameter file '{path}' has ros__parameters of {len(nodes)} nodes, need one")
+    return dict(nodes[0]) if nodes else content
+
+
+def _is_ros_section(value: Any) -> bool:
+    return isinstance(value, dict) and isinstance(value.get("ros__parameters"), dict)
+
+
+def gain_matrix(gain: tuple[float, ...], dt: float) -> NDArray[np.float64]:
+    """Return K (6, 6) [1/s] of 1, 6 or 36 values. Raises ParameterError: not positive definite, or K·dt > 1."""
+    values = np.array(gain, dtype=float)
+    matrix = np.diag(np.broadcast_to(values, 6)) if values.size in (1, 6) else values.reshape(6, 6)
+    lowest = float(np.linalg.eigvalsh(0.5 * (matrix + matrix.T))[0])
+    if not lowest > 0.0:
+        raise ParameterError(
+            f"gain must be positive definite: the smallest eigenvalue of its symmetric part is {lowest:g}"
+        )
+    fastest = float(np.abs(np.linalg.eigvals(matrix)).max())
+    if fastest * dt > 1.0 + 1e-12:
+        raise ParameterError(f"gain {fastest:g} 1/s times the cycle time {dt:g} s must be ≤ 1: at most {1 / dt:g} 1/s")
+    return matrix
+
+
+def _checked(spec: Spec, value: Any) -> Any:
+    """Return the value as its own type, or raise ParameterError in one line."""
+
+    def fail(need: str) -> ParameterError:
+        return ParameterError(f"{spec.name} = {value!r}: need {need}")
+
+    if spec.kind == "bool":
+        if not isinstance(value, bool):
+            raise fail("true or false")
+        return value
+    if spec.kind == "str":
+        if not isinstance(value, str):
+            raise fail("text")
+        if spec.legal and value not in spec.legal:
+            raise fail(f"one of {spec.bounds}")
+        return value
+    if spec.kind == "float":
+        return _number(spec, value, fail)
+    if isinstance(value, str) or not hasattr(value, "__iter__"):
+        if spec.kind != "tuple[float, ...]" or isinstance(value, str):
+            raise fail("a list")
+        value = [value]  # one number for a list of one
+    items = list(value)
+    if spec.kind == "tuple[str, ...]":
+        if not all(isinstance(item, str) for item in items):
+            raise fail("a list of names")
+        return tuple(items)
+    if spec.lengths and len(items) not in spec.lengths:
+        raise fail(f"{' or '.join(str(length) for length in spec.lengths)} values, got {len(items)}")
+    return tuple(_number(spec, item, fail) for item in items)
+
+
+def _number(spec: Spec, value: Any, fail: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise fail("a number" if spec.kind == "float" else "a list of numbers")
+    number = float(value)
+    if math.isnan(number) or (math.isinf(number) and spec.section != "limits"):
+        raise fail("a finite number")
+    if (spec.low is not None and number < spec.low) or (spec.high is not None and number > spec.high):
+        raise fail(f"{spec.bounds} {spec.unit}".strip())
+    return number
+
+
+def table() -> str:
+    """Return the Markdown table of all parameters, section by section, for the documentation."""
+    lines: list[str] = []
+    for section in SECTIONS:
+        lines += [f"### {section.capitalize()}", "", "| name | type | default | unit | legal | description |"]
+        lines.append("|---|---|---|---|---|---|")
+        for spec in specs():
+            if spec.section == section:
+                kind = {"tuple[float, ...]": "list of float", "tuple[str, ...]": "list of str"}.get(
+                    spec.kind, spec.kind
+                )
+                default = ", ".join(f"{v:g}" for v in spec.default) if isinstance(spec.default, tuple) else spec.default
+                shown = f"`{str(default).lower() if spec.kind == 'bool' else default}`" if default != "" else ""
+                fixed = " Fixed at start." if spec.read_only else ""
+                lines.append(
+                    f"| `{spec.name}` | {kind} | {shown} | {spec.unit} | {spec.bounds} | {spec.description}{fixed} |"
+                )
+        lines.append("")
+    return "\n".join(lines)
