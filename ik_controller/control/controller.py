@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -78,6 +79,17 @@ class Controller:
         self._q = position
         self._v = np.zeros(self.model.n)
         self._fresh = True
+
+    def state(self) -> dict[str, Any]:
+        """Return the state as JSON types, for `restore`; floats come back bit for bit."""
+        position = None if self._q is None else self._q.tolist()
+        return {"position": position, "velocity": self._v.tolist(), "fresh": self._fresh}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take a state of `state`."""
+        self._q = None if state["position"] is None else np.array(state["position"])
+        self._v = np.array(state["velocity"])
+        self._fresh = bool(state["fresh"])
 
     def step(self, q_measured: Array | None, reference: Reference | None, dt: float) -> Step:
         """Advance one cycle of dt [s] and return the command for its end.

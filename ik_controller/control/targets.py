@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import bisect
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -127,6 +128,34 @@ class Targets:
             self._times.insert(index, sample.time)
             self._samples.insert(index, sample)
         self._segment = None
+
+    def state(self) -> dict[str, Any]:
+        """Return all that is kept as JSON types, for `restore`; floats come back bit for bit."""
+        return {
+            "samples": [
+                (s.time, s.position.tolist(), s.rotation.tolist(), None if s.twist is None else s.twist.tolist())
+                for s in self._samples
+            ],
+            "twists": [(time, twist.tolist()) for time, twist in self._twists],
+            "trajectory": self._trajectory,
+            "joints": None if self._joints is None else [values.tolist() for values in self._joints],
+            "arrivals": (self._pose_arrival, self._twist_arrival, self._joints_arrival),
+            "clock": self._clock,
+        }
+
+    def restore(self, state: dict[str, Any]) -> None:
+        """Take a state of `state`."""
+        self.clear()
+        for time, position, rotation, twist in state["samples"]:
+            rate = None if twist is None else np.array(twist)
+            self._insert(_Sample(time, np.array(position), np.array(rotation), rate))
+        self._twists = [(time, np.array(twist)) for time, twist in state["twists"]]
+        self._acceleration = self._estimate_acceleration()
+        self._trajectory = bool(state["trajectory"])
+        joints = state["joints"]
+        self._joints = None if joints is None else (np.array(joints[0]), np.array(joints[1]))
+        self._pose_arrival, self._twist_arrival, self._joints_arrival = state["arrivals"]
+        self._clock = dict(state["clock"])
 
     # -- what is asked
 

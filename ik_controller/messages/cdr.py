@@ -1,0 +1,169 @@
+"""CDR: decode and encode messages; any type by `rosbags`, JointState and the cycle record also by a fast path.
+
+A JointState stream repeats all but its stamp and numbers, so its layout is worked out once by rosbags and then only
+compared: 1.5 µs instead of 20.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.typesys import Stores, get_typestore
+
+from ik_controller.errors import MessageError, choices
+
+Array = NDArray[np.float64]
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+POSE = "geometry_msgs/msg/PoseStamped"
+TWIST = "geometry_msgs/msg/TwistStamped"
+TRAJECTORY = "trajectory_msgs/msg/MultiDOFJointTrajectory"
+STRING = "std_msgs/msg/String"
+CYCLE = "std_msgs/msg/Int64MultiArray"
+
+_SECOND = 1_000_000_000
+
+
+def decode(type_name: str, data: bytes) -> Any:
+    """Return the message in `data` as rosbags' dataclass. Raises MessageError where the bytes are not of that type."""
+    try:
+        return STORE.deserialize_cdr(data, type_name)
+    except Exception as error:  # rosbags raises many kinds on bytes that are cut off or of another type
+        raise MessageError(f"not a {type_name}: {' '.join(str(error).split())}") from None
+
+
+def encode(message: Any) -> bytes:
+    """Return a rosbags message as CDR bytes, the same bytes for the same message always."""
+    return bytes(STORE.serialize_cdr(message, message.__msgtype__))
+
+
+def message(type_name: str, *values: Any) -> Any:
+    """Make a rosbags message of its fields in order."""
+    return STORE.types[type_name](*values)
+
+
+def header(stamp: int, frame: str) -> Any:
+    """Make a std_msgs/Header of a stamp [ns] and a frame."""
+    seconds, nanoseconds = divmod(stamp, _SECOND)
+    return message("std_msgs/msg/Header", message("builtin_interfaces/msg/Time", seconds, nanoseconds), frame)
+
+
+def stamp_of(stamped: Any) -> int:
+    """Return the header's stamp [ns]."""
+    stamp = stamped.header.stamp
+    return int(stamp.sec) * _SECOND + int(stamp.nanosec)
+
+
+def _layout(data: bytes) -> tuple[int, int]:
+    """Return the offsets of a little-endian JointState's position count's end and of its position numbers."""
+    (frame_length,) = struct.unpack_from("<I", data, 12)
+    at = 16 + frame_length
+    at += -at % 4
+    (names,) = struct.unpack_from("<I", data, at)
+    at += 4
+    for _ in range(names):
+        at += -at % 4
+        (length,) = struct.unpack_from("<I", data, at)
+        at += 4 + length
+    at += -at % 4 + 4
+    return at, at + (4 - at) % 8  # numbers are aligned to 8 counted from behind the 4-byte CDR header
+
+
+class JointStateReader:
+    """Reads the positions of given joints out of JointState messages, whatever their order and whatever else is there."""
+
+    def __init__(self, joint_names: tuple[str, ...]) -> None:
+        self._names = joint_names
+        self._prefix = b""
+        self._length = -1
+        self._at = 0
+        self._order: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
+        self._count = 0
+
+    def read(self, data: bytes) -> Array | None:
+        """Return positions (n,) [rad or m] in the order of the joint names; None where none of them is in the message.
+
+        Raises MessageError: names missing or doubled, arrays of the wrong length, a value that is not finite.
+        """
+        if len(data) != self._length or not data.startswith(self._prefix, 12):
+            if not self._learn(data):
+                return None
+        values = np.frombuffer(data, "<f8", self._count, self._at)[self._order]
+        if not np.isfinite(values.dot(values)):
+            index = int(np.argmin(np.isfinite(values)))
+            raise MessageError(f"position of '{self._names[index]}' is {values[index]}: need finite values")
+        return values
+
+    def _learn(self, data: bytes) -> bool:
+        self._length = -1
+        content = decode(JOINT_STATE, data)
+        names, count = content.name, len(content.name)
+        if not set(self._names) & set(names):
+            return False
+        missing = [name for name in self._names if name not in names]
+        if missing:
+            raise MessageError(f"joint(s) missing: {choices(missing)}; the message has: {choices(names)}")
+        doubled = sorted({name for name in self._names if names.count(name) > 1})
+        if doubled:
+            raise MessageError(f"joint(s) named twice: {choices(doubled)}")
+        for field in ("position", "velocity", "effort"):
+            length = len(getattr(content, field))
+            if length != count and (length or field == "position"):
+                raise MessageError(f"{length} values in {field} for {count} names")
+        if data[1] != 1:
+            raise MessageError("big-endian JointState messages are not supported")
+        end, self._at = _layout(data)
+        self._order = np.array([names.index(name) for name in self._names], dtype=np.intp)
+        self._count = count
+        self._prefix = data[12:end]
+        self._length = len(data)
+        return True
+
+
+class JointStateWriter:
+    """Writes JointState messages with positions and velocities of fixed joints."""
+
+    def __init__(self, joint_names: tuple[str, ...]) -> None:
+        n = len(joint_names)
+        empty = message(JOINT_STATE, header(0, ""), list(joint_names), np.zeros(n), np.zeros(n), np.zeros(0))
+        self._buffer = bytearray(encode(empty))
+        self._stamp = struct.Struct("<iI")
+        self._position = _layout(bytes(self._buffer))[1]
+        after = self._position + 8 * n + 4
+        self._velocity = after + (4 - after) % 8
+        self._size = 8 * n
+
+    def write(self, stamp: int, position: Array, velocity: Array) -> bytes:
+        """Return the message's bytes; `stamp` [ns], position (n,) [rad or m], velocity (n,) [rad/s or m/s]."""
+        buffer, size = self._buffer, self._size
+        self._stamp.pack_into(buffer, 4, stamp // _SECOND, stamp % _SECOND)
+        buffer[self._position : self._position + size] = position.tobytes()
+        buffer[self._velocity : self._velocity + size] = velocity.tobytes()
+        return bytes(buffer)
+
+    def positions(self, data: bytes) -> Array:
+        """Return the positions (n,) in a message that `write` made."""
+        return np.frombuffer(data, "<f8", self._size // 8, self._position)
+
+
+# The record of one cycle is a std_msgs/Int64MultiArray, so that any reader of bags can open it.
+CYCLE_FIELDS = ("index", "time_ns", "code", "late_ns", "work_ns", "published")
+_CYCLE = struct.Struct("<4sIII4x6q")
+
+
+def encode_cycle(index: int, time: int, code: int, late: int, work: int, published: int) -> bytes:
+    """Return a cycle record: number, scheduled time [ns], status code, lateness [ns], work [ns], published or not."""
+    return _CYCLE.pack(b"\0\1\0\0", 0, 0, 6, index, time, code, late, work, published)
+
+
+def decode_cycle(data: bytes) -> tuple[int, int, int, int, int, int]:
+    """Return the fields of a cycle record in the order of CYCLE_FIELDS. Raises MessageError if it is none."""
+    if len(data) != _CYCLE.size:
+        raise MessageError(f"not a cycle record: {len(data)} bytes, need {_CYCLE.size}")
+    index, time, code, late, work, published = _CYCLE.unpack(data)[4:]
+    return index, time, code, late, work, published

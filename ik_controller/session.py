@@ -1,0 +1,159 @@
+"""Session: one arm's run, from messages to commands, cycle by cycle; no clock and no ROS.
+
+The node feeds it what arrives and the time of each cycle; the replay feeds it the same from a bag. Whatever changes the
+run goes through `take`, `apply` or `cycle`, so their sequence determines every bit that comes out.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ik_controller.control.controller import Controller, Step
+from ik_controller.control.status import Code, Status
+from ik_controller.control.targets import Targets
+from ik_controller.errors import IkControllerError, MessageError, choices
+from ik_controller.kinematics.model import RobotModel
+from ik_controller.messages.cdr import JOINT_STATE, JointStateReader, decode
+from ik_controller.messages.inputs import Inputs
+from ik_controller.parameters import ControllerParameters
+
+Array = NDArray[np.float64]
+
+EVENTS = ("pause", "resume", "reset", "parameters", "state")
+
+
+class Session:
+    """Takes inputs as they arrive and turns each cycle's into one command.
+
+    `controller`, `targets`, `parameters`; `rejected` counts unusable messages by role, `last_rejected` tells of the last
+    one; `paused`; `status` of the last cycle.
+    """
+
+    def __init__(self, model: RobotModel, parameters: ControllerParameters) -> None:
+        """Raises ParameterError where parameters do not fit the model."""
+        self.model = model
+        self.parameters = parameters
+        self.controller = Controller(model, parameters)
+        self.targets = Targets(parameters)
+        self.paused = False
+        self.rejected: Counter[str] = Counter()
+        self.last_rejected = ""
+        self.status = Status(Code.WAITING)
+        self.feedback_arrival: int | None = None
+        self._inputs = Inputs(model, self.targets)
+        self._joint_states = JointStateReader(model.joint_names)
+        self._measured: Array | None = None
+        self._running = False
+        self._set_times()
+
+    def _set_times(self) -> None:
+        self.dt = 1.0 / self.parameters.rate
+        self._feedback_timeout = int(self.parameters.feedback_timeout * 1e9)
+
+    # -- what arrives
+
+    def take(self, role: str, data: bytes, arrival: int) -> bool:
+        """Take one message of a role of INPUTS that arrived at `arrival` [ns]; return False where it was rejected."""
+        try:
+            if role == "joint_states":
+                measured = self._joint_states.read(data)
+                if measured is not None:
+                    self._measured, self.feedback_arrival = measured, arrival
+                elif self._measured is None:
+                    names = choices(decode(JOINT_STATE, data).name)
+                    raise MessageError(
+                        f"none of the joints {choices(self.model.joint_names)}; the message has: {names}"
+                    )
+            else:
+                self._inputs.take(role, data, arrival, self.controller.position)
+        except MessageError as error:
+            self.rejected[role] += 1
+            self.last_rejected = f"{role}: {error}"
+            return False
+        return True
+
+    def apply(self, event: str) -> None:
+        """Apply one event, JSON text with the key "do" of EVENTS; between two cycles.
+
+        Raises IkControllerError where it cannot be applied (unknown, or parameters that do not fit); nothing changes then.
+        """
+        content = json.loads(event)
+        do = content.get("do")
+        if do == "pause":
+            self.paused = True
+            self.targets.clear()
+        elif do == "resume":
+            self.paused = False
+            self._running = False
+        elif do == "reset":
+            self._running = False
+            self.targets.clear()
+        elif do == "parameters":
+            self.set_parameters(self.parameters.replace(content["values"]))
+        elif do == "state":
+            self._restore(content)
+        else:
+            raise IkControllerError(f"unknown event '{do}'; legal: {choices(EVENTS)}")
+
+    def set_parameters(self, parameters: ControllerParameters) -> None:
+        """Take new parameters between two cycles. Raises ParameterError; nothing changes then."""
+        self.controller.set_parameters(parameters)
+        self.targets.set_parameters(parameters)
+        self.parameters = parameters
+        self._set_times()
+
+    # -- one cycle
+
+    def cycle(self, now: int) -> Step | None:
+        """Run the cycle that starts at `now` [ns]; return its Step, None where nothing is to be commanded."""
+        arrival = self.feedback_arrival
+        fresh = arrival is not None and now - arrival <= self._feedback_timeout
+        measured = self._measured if fresh else None
+        if not self._running:
+            if self.paused or measured is None:
+                lost = arrival is not None
+                self.status = Status(Code.PAUSED if self.paused else Code.NO_FEEDBACK if lost else Code.WAITING)
+                return None
+            # Whatever was commanded before, the arm starts from where it is.
+            self.controller.reset(measured)
+            self._running = True
+        reference = None if self.paused else self.targets.reference(now, self.dt)
+        step = self.controller.step(measured, reference, self.dt)
+        if self.paused:
+            step.status = step.status._replace(code=Code.PAUSED)
+        if (self.paused or measured is None) and not step.velocity.any():
+            self._running = False
+        self.status = step.status
+        return step
+
+    # -- the state, for a recording that starts in the middle of a run
+
+    def state(self) -> str:
+        """Return the whole state as an event for `apply`; numbers are written so that they come back bit for bit."""
+        controller = self.controller
+        return json.dumps(
+            {
+                "do": "state",
+                "parameters": self.parameters.as_mapping(),
+                "paused": self.paused,
+                "running": self._running,
+                "measured": None if self._measured is None else self._measured.tolist(),
+                "feedback_arrival": self.feedback_arrival,
+                "controller": controller.state(),
+                "targets": self.targets.state(),
+            }
+        )
+
+    def _restore(self, content: dict[str, Any]) -> None:
+        self.set_parameters(ControllerParameters.from_mapping(content["parameters"]))
+        self.paused = bool(content["paused"])
+        self._running = bool(content["running"])
+        self._measured = None if content["measured"] is None else np.array(content["measured"])
+        self.feedback_arrival = content["feedback_arrival"]
+        self.controller.restore(content["controller"])
+        self.targets.restore(content["targets"])
