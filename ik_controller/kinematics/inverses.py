@@ -256,10 +256,10 @@ def _require_rank(J: Array, method: str) -> None:
 
 
 def _metric(weight: ArrayLike) -> Array:
-    array = np.asarray(weight, dtype=float)
-    if array.ndim == 1:
-        return np.diag(check_array(array, "weight", (None,)))
-    return check_array(array, "weight", (None, None))
+    """Return W as a matrix; a vector is its diagonal."""
+    is_diagonal = np.ndim(weight) == 1
+    W = check_array(weight, "weight", (None,) if is_diagonal else (None, None))
+    return np.diag(W) if is_diagonal else W
 
 
 def _cholesky(weight: Array, size: int) -> Array:
