@@ -1,4 +1,4 @@
-"""Write requirements.txt, requirements-ros.txt and requirements-dev.txt: every package pinned for every Python.
+"""Write requirements.txt, requirements-dev.txt and requirements-ros.txt: every package pinned for every Python.
 
     python scripts/pin_requirements.py python3.10 python3.11 python3.12 python3.13
 
@@ -23,14 +23,14 @@ FILES = {
         "What the package needs to run, ROS apart; numba is optional and makes offline work faster.",
         ["numpy", "pin", "mcap", "rosbags", "PyYAML", "zstandard", "lz4", "matplotlib", "numba"],
     ),
-    "requirements-ros.txt": (
-        "ROS 2 Jazzy as wheels; left out where a ROS installation is sourced, whose rclpy is used instead.",
-        ["ros-jazzy-rclpy", "ros-jazzy-common-interfaces", "ros-jazzy-rmw-fastrtps-cpp"],
-    ),
     "requirements-dev.txt": (
         "What tests and lint need besides; setuptools builds the editable install.",
         ["setuptools", "wheel", "pytest", "hypothesis", "ruff", "mypy", "mcap-ros2-support", "example-robot-data",
          "catkin_pkg"],
+    ),
+    "requirements-ros.txt": (
+        "ROS 2 Jazzy as wheels; left out where a ROS installation is sourced, whose rclpy is used instead.",
+        ["ros-jazzy-rclpy", "ros-jazzy-common-interfaces", "ros-jazzy-rmw-fastrtps-cpp"],
     ),
 }  # fmt: skip
 
@@ -43,7 +43,9 @@ def resolve(python: Path, wanted: list[str], constraints: dict[str, str]) -> dic
         command = [str(python), "-m", "pip", "install", "--quiet", "--dry-run", "--ignore-installed",
                    "--constraint", file.name, "--report", "-", *wanted]  # fmt: skip
         report = json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout)
-    return {item["metadata"]["name"].lower().replace("_", "-"): item["metadata"]["version"] for item in report["install"]}
+    return {
+        item["metadata"]["name"].lower().replace("_", "-"): item["metadata"]["version"] for item in report["install"]
+    }
 
 
 def lines(pins: dict[str, dict[str, str]]) -> list[str]:

@@ -1,0 +1,66 @@
+# Everything runs in .venv, made on first use: pinned packages and this package, editable.
+# Another Python: make test PYTHON=python3.12. Where ROS is sourced (ROS_DISTRO set), its rclpy is used, not the wheels.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+ifdef ROS_DISTRO
+ROS := $(ROS_DISTRO)
+VENV_FLAGS := --system-site-packages
+REQUIREMENTS := requirements.txt requirements-dev.txt
+else
+ROS := wheels
+VENV_FLAGS :=
+REQUIREMENTS := requirements.txt requirements-dev.txt requirements-ros.txt
+endif
+
+# Written last, so an interrupted installation is done again; named for what the environment was made from.
+PACKAGES := $(VENV)/packages-$(subst /,_,$(PYTHON))-$(ROS)
+READY := $(PACKAGES)-ready
+PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input --quiet install
+
+.PHONY: demo test soak lint bench bench-peers docs install clean help
+
+demo: $(READY)  ## the main job: simulated arm, node and target streamer over DDS, recorded, replayed, drawn
+	@$(BIN)/ik_controller demo
+
+test: $(READY)  ## the test suite
+	@$(BIN)/python -m pytest -m "not soak"
+
+soak: $(READY)  ## checks too long for every day
+	@$(BIN)/python -m pytest -m soak
+
+lint: $(READY)  ## ruff and mypy
+	@$(BIN)/ruff check .
+	@$(BIN)/ruff format --check .
+	@$(BIN)/mypy
+
+bench: $(READY)  ## benchmarks
+	@$(BIN)/ik_controller bench
+
+bench-peers: $(READY)  ## the same jobs by other libraries, each in an environment of its own
+	@$(BIN)/python test/benchmark/peers
+
+docs: $(READY)  ## the parts of the documentation that are made from the code
+	@$(BIN)/python scripts/make_docs.py
+
+install: $(READY)  ## .venv alone
+
+clean:  ## remove .venv and all that builds and runs leave behind
+	@rm -rf $(VENV) build install log runs dist *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache
+	@find ik_controller test scripts launch -name __pycache__ -prune -exec rm -rf {} +
+
+help:  ## this list
+	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/  make \1|\2/p' Makefile | column -t -s '|'
+
+$(PACKAGES): $(REQUIREMENTS) scripts/check_python.py
+	@command -v $(PYTHON) >/dev/null || { echo "make: $(PYTHON) not found: install Python 3.10-3.13 or say which: make PYTHON=/path/to/python3" >&2; exit 1; }
+	@$(PYTHON) scripts/check_python.py
+	@echo "Setting up $(VENV) with `$(PYTHON) --version` (once, a minute or two) ..."
+	@$(PYTHON) -m venv --clear $(VENV_FLAGS) $(VENV)
+	@$(PIP) $(REQUIREMENTS:%=-r %)
+	@touch $@
+
+$(READY): $(PACKAGES) setup.py pyproject.toml
+	@$(PIP) --no-deps --no-build-isolation --editable .
+	@touch $@
