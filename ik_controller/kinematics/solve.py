@@ -106,6 +106,12 @@ def solve_ik(
     return _search(model, task, attempt, start, tolerance, again, seed, respect_limits, all_solutions, kept)
 
 
+def solve_damped(model: RobotModel, task: Task, start: Array, tolerance: tuple[float, float], limited: bool) -> Solution:
+    """Return the damped solution of a checked task, with the defaults of `solve_ik`."""
+    attempt = _damped(model, task, _constant(1.0, model.n), math.inf, tolerance, MAX_ITERATIONS["damped"], None)
+    return _search(model, task, attempt, start, tolerance, RESTARTS["damped"], 0, limited, False, None)
+
+
 # -- one attempt: from a start, in place; (q, number, within limits?, careful?) → how it ended, iterations, errors
 
 
