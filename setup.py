@@ -43,6 +43,7 @@ setup(
         "zstandard>=0.22",
         "lz4>=4.3",
         "matplotlib>=3.8",
+        "daqp>=0.7",
     ],
     extras_require={
         "fast": ["numba>=0.60"],

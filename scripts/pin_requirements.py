@@ -21,7 +21,8 @@ VERSIONS = ("3.10", "3.11", "3.12", "3.13")
 FILES = {
     "requirements.txt": (
         "What the package needs to run, ROS apart; numba is optional and makes offline work faster.",
-        ["numpy", "pin", "mcap", "rosbags", "PyYAML", "zstandard", "lz4", "matplotlib", "numba"],
+        ["numpy", "pin", "mcap", "rosbags", "PyYAML", "zstandard", "lz4", "matplotlib", "daqp",
+         "numba"],
     ),
     "requirements-dev.txt": (
         "What tests and lint need besides; setuptools builds the editable install.",
