@@ -1,0 +1,197 @@
+"""Reading a bag message by message, in the order it was written, in memory that does not grow with its length."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+import yaml
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, Schema
+
+from ik_controller.errors import BagError, choices
+from ik_controller.recording.mcap_file import DAMAGE, McapFile, decompress, parse
+from ik_controller.recording.segment import MESSAGE_HEAD
+
+_PADDING = bytes(MESSAGE_HEAD.size)
+
+
+class Message(NamedTuple):
+    """One recorded message: data as serialized (CDR), log time in ns, and the writer's running number on the topic."""
+
+    topic: str
+    log_time_ns: int
+    data: bytes
+    sequence: int
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic of a bag. `count` is None where only reading the whole bag would tell (a cut-off bag).
+
+    `type_name` is "pkg/msg/Type", `schema` its definition, `type_hash` RIHS01, `qos` YAML text; each "" where unknown.
+    """
+
+    name: str
+    type_name: str
+    count: int | None
+    qos: str
+    type_hash: str
+    schema: str
+    encoding: str
+
+
+class BagReader:
+    """A bag of one or more MCAP files. Made by `open_bag`.
+
+    `complete` is False if a file was cut off; `lost_bytes` says how many bytes at its end hold no whole record.
+    """
+
+    def __init__(self, path: Path, files: list[McapFile]) -> None:
+        self.path = path
+        self.files = files
+        self.complete = all(file.complete for file in files)
+        self.lost_bytes = sum(file.lost_bytes for file in files)
+        self.topics = _topics(files)
+
+    def topic(self, name: str) -> Topic:
+        """Return the topic of that name; raises BagError if there is none."""
+        for topic in self.topics:
+            if topic.name == name:
+                return topic
+        raise BagError(f"bag '{self.path}' has no topic '{name}'; it has: {choices(t.name for t in self.topics)}")
+
+    def metadata(self, name: str) -> dict[str, str]:
+        """Return the last metadata record of that name; raises BagError if there is none."""
+        found = {record.name: record.metadata for file in self.files for record in file.metadata}
+        if name not in found:
+            raise BagError(f"bag '{self.path}' has no metadata '{name}'; it has: {choices(found)}")
+        return dict(found[name])
+
+    def metadata_names(self) -> list[str]:
+        """Return the names of all metadata records."""
+        return list(dict.fromkeys(record.name for file in self.files for record in file.metadata))
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
+        """Yield the messages (of these topics, or all) in file order, up to where a cut-off bag ends.
+
+        Raises BagError at a damaged chunk.
+        """
+        for file in self.files:
+            yield from _file_messages(file, topics)
+
+
+def open_bag(path: Path | str) -> BagReader:
+    """Open a bag: a rosbag2 folder, or an .mcap file.
+
+    Raises BagError if it is missing, empty or not MCAP.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise BagError(f"there is no bag '{path}'")
+    if not path.is_dir():
+        _reject_foreign(path)
+        return BagReader(path, [McapFile(path)])
+    paths = segment_paths(path)
+    if not paths:
+        for other in sorted(path.iterdir()):
+            _reject_foreign(other)
+        raise BagError(f"bag '{path}' is empty: there is no .mcap file in it")
+    # A recorder killed while it opened a segment leaves an empty file behind.
+    filled = [file for file in paths if file.stat().st_size]
+    return BagReader(path, [McapFile(file) for file in filled or paths])
+
+
+def segment_paths(folder: Path) -> list[Path]:
+    """Return the MCAP files of a bag folder: in the order of metadata.yaml, then those it does not know, by number."""
+    found = sorted(folder.glob("*.mcap"), key=lambda path: [int(n) for n in re.findall(r"\d+", path.name)])
+    try:
+        information = yaml.safe_load((folder / "metadata.yaml").read_text(encoding="utf-8"))
+        listed = [
+            folder / Path(name).name for name in information["rosbag2_bagfile_information"]["relative_file_paths"]
+        ]
+    except (OSError, yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError):
+        listed = []  # a killed recorder had no time for it
+    known = [path for path in listed if path in found]
+    return known + [path for path in found if path not in known]
+
+
+def _file_messages(file: McapFile, topics: Collection[str] | None) -> Iterator[Message]:
+    try:
+        with file.path.open("rb", buffering=1 << 18) as stream:
+            yield from _stream_messages(file, stream, topics)
+    except OSError as error:
+        raise BagError(f"cannot read bag '{file.path}': {error.strerror}") from None
+    except DAMAGE as error:
+        raise BagError(f"bag '{file.path}' is damaged ({error}); try `ik_controller recover`") from None
+
+
+def _stream_messages(file: McapFile, stream: BinaryIO, topics: Collection[str] | None) -> Iterator[Message]:
+    names = {
+        channel.id: channel.topic if topics is None or channel.topic in topics else None
+        for channel in file.channels.values()
+    }
+    unpack, new = MESSAGE_HEAD.unpack_from, tuple.__new__
+    for opcode, _, length in file.records(stream):
+        if opcode == Opcode.CHUNK:
+            data = decompress(parse(Chunk, stream.read(length)))
+        elif opcode == Opcode.MESSAGE:
+            data = b"\x05" + length.to_bytes(8, "little") + stream.read(length)
+        elif opcode == Opcode.DATA_END:
+            return
+        else:
+            continue
+        position, end = 0, len(data)
+        data += _PADDING  # so that a message head can be read at any record
+        while position < end:
+            opcode, length, channel_id, sequence, log_time, _ = unpack(data, position)
+            begin = position + 31
+            position += 9 + length
+            if opcode != 5:  # a schema or channel among the messages; McapFile knows them
+                continue
+            if position > end or length < 22:
+                raise ValueError("a message reaches beyond its chunk")
+            name = names[channel_id]
+            if name is not None:
+                # NamedTuple's own constructor would take half of the time of this loop
+                yield new(Message, (name, log_time, data[begin:position], sequence))
+    if file.complete:
+        raise ValueError("records end before the summary")
+
+
+def _topics(files: list[McapFile]) -> list[Topic]:
+    """Merge the channels of all files: the same topic may have another id in every file."""
+    merged: dict[tuple[str, str], tuple[Channel, Schema | None, int | None]] = {}
+    for file in files:
+        for channel in file.channels.values():
+            schema = file.schemas.get(channel.schema_id)
+            key = channel.topic, schema.name if schema is not None else ""
+            count = None if file.counts is None else file.counts.get(channel.id, 0)
+            before = merged[key][2] if key in merged else 0
+            total = None if count is None or before is None else before + count
+            merged[key] = channel, schema, total
+    return [
+        Topic(
+            name=name,
+            type_name=type_name,
+            count=count,
+            qos=channel.metadata.get("offered_qos_profiles", ""),
+            type_hash=channel.metadata.get("topic_type_hash", ""),
+            schema=schema.data.decode("utf-8", "replace") if schema is not None else "",
+            encoding=channel.message_encoding,
+        )
+        for (name, type_name), (channel, schema, count) in merged.items()
+    ]
+
+
+def _reject_foreign(path: Path) -> None:
+    """Name the formats that look like a bag and are not MCAP."""
+    with path.open("rb") as file:
+        head = file.read(16)
+    kind = "sqlite3" if head.startswith(b"SQLite format 3") else "ROS 1" if head.startswith(b"#ROSBAG V") else None
+    if kind is not None:
+        convert = "rosbags-convert --dst-storage mcap --src … --dst …"
+        raise BagError(f"'{path}' is a {kind} bag, not MCAP; convert it with `{convert}`")
