@@ -14,7 +14,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
-from ik_controller.errors import ArgumentError
+from ik_controller.errors import ArgumentError, ModelError
+from ik_controller.kinematics.checks import check_array
 from ik_controller.kinematics.model import pose_from
 
 Array = NDArray[np.float64]
@@ -40,7 +41,7 @@ class Reference:
 
         Raises ArgumentError where a shape is wrong, a value is not finite or the quaternion is off unit by 1e-3.
         """
-        placement = pose if isinstance(pose, pin.SE3) else pose_from(pose)
+        placement = _placement(pose)
         return cls(
             position=np.array(placement.translation),
             rotation=np.array(placement.rotation),
@@ -57,8 +58,7 @@ class Reference:
         """Make the reference that moves from pose `now` to pose `then` within dt [s]; poses as in `pose`."""
         if not dt > 0.0:
             raise ArgumentError(f"dt = {dt}: need a positive time")
-        start = now if isinstance(now, pin.SE3) else pose_from(now)
-        end = then if isinstance(then, pin.SE3) else pose_from(then)
+        start, end = _placement(now), _placement(then)
         turn = pin.log3(end.rotation @ start.rotation.T)
         return cls.pose(start, np.concatenate((end.translation - start.translation, turn)) / dt)
 
@@ -70,12 +70,16 @@ class Reference:
         return cls(joints=target, joint_velocity=rate)
 
 
+def _placement(pose: Any) -> Any:
+    if isinstance(pose, pin.SE3):
+        if not np.isfinite(pose.homogeneous).all():
+            raise ArgumentError(f"pose: values must be finite: {pose.homogeneous[:3].ravel().tolist()}")
+        return pose
+    try:
+        return pose_from(check_array(pose, "pose", (7,)))
+    except ModelError as error:  # the quaternion; a pose is not the model's fault here
+        raise ArgumentError(str(error)) from None
+
+
 def _vector(values: ArrayLike, name: str, size: int | None) -> Array:
-    vector = np.array(values, dtype=float)
-    if vector.ndim != 1 or (size is not None and vector.size != size):
-        raise ArgumentError(
-            f"{name}: need {size if size is not None else 'a list of'} values, got shape {vector.shape}"
-        )
-    if not np.isfinite(vector).all():
-        raise ArgumentError(f"{name}: values must be finite: {vector.tolist()}")
-    return vector
+    return np.array(check_array(values, name, (size,)))

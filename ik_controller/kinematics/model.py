@@ -54,11 +54,11 @@ class RobotModel:
         chain = urdf.chain(self.base_frame, tip_frame)
         locked = dict(locked_joints or {})
         for name in locked:
-            if name not in urdf.joints or name in {joint.name for joint in chain}:
+            if name not in urdf.movable or name in {joint.name for joint in chain}:
                 legal = sorted(set(urdf.movable) - {joint.name for joint in chain})
                 raise ModelError(f"locked joint '{name}' is not a joint outside the chain; there are: {choices(legal)}")
         in_chain = {joint.name for joint in chain}
-        free = [joint for joint in chain if joint.mimic is None or joint.mimic.leader not in in_chain]
+        free = [joint for joint in chain if joint.mimic is None or joint.resolve_mimic(urdf)[0] not in in_chain]
         # A mimic joint whose leader is not in the chain follows a locked value: it is locked itself.
         for joint in [j for j in free if j.mimic is not None]:
             free.remove(joint)
@@ -67,7 +67,12 @@ class RobotModel:
         if not moving:
             raise ModelError(f"no movable joint between '{self.base_frame}' and '{tip_frame}'")
 
-        full = pin.buildModelFromXML(urdf.pinocchio_text())
+        try:
+            full = pin.buildModelFromXML(urdf.pinocchio_text())
+        except (ValueError, RuntimeError) as error:
+            raise ModelError(
+                f"Pinocchio cannot build the robot '{urdf.name}': {' '.join(str(error).split())}"
+            ) from None
         q_locked = pin.neutral(full)
         for joint in urdf.joints.values():
             if joint.mimic is not None and joint.name not in in_chain and joint.name not in locked:
@@ -173,6 +178,9 @@ class RobotModel:
             ends = sorted(((joint.lower - offset) / factor, (joint.upper - offset) / factor))
             self.lower[column] = max(self.lower[column], ends[0])
             self.upper[column] = min(self.upper[column], ends[1])
+            if not self.lower[column] < self.upper[column]:
+                leader = self.joint_names[column]
+                raise ModelError(f"joint '{joint.name}' mimics '{leader}', and their limits leave no motion in common")
             if joint.velocity > 0.0:
                 limit = joint.velocity / abs(factor)
                 self.velocity_limit[column] = min(self.velocity_limit[column], limit)
@@ -202,7 +210,10 @@ class RobotModel:
                 raise ModelError(
                     f"{name} limits: {len(values)} values, need {self.n}, one for each of {choices(self.joint_names)}"
                 )
-            arrays[name] = np.array(values, dtype=float)
+            try:
+                arrays[name] = np.array(values, dtype=float)
+            except (TypeError, ValueError):
+                raise ModelError(f"{name} limits: need numbers, got {list(values)}") from None
             if np.isnan(arrays[name]).any():
                 raise ModelError(f"{name} limits: NaN is not a limit")
             if name not in ("lower", "upper") and (arrays[name] <= 0.0).any():
@@ -255,7 +266,7 @@ def frame_jacobian(model: RobotModel, data: Any, q: Array, frame_id: int) -> Arr
     jacobian: Array = pin.computeFrameJacobian(
         model.pin_model, data, model.expand(q), frame_id, pin.LOCAL_WORLD_ALIGNED
     )
-    return jacobian if model.expansion is None else jacobian @ model.expansion
+    return jacobian if model.expansion is None else np.asfortranarray(jacobian @ model.expansion)
 
 
 def pose_from(values: ArrayLike, name: str = "pose") -> Any:
@@ -263,7 +274,10 @@ def pose_from(values: ArrayLike, name: str = "pose") -> Any:
 
     Raises ModelError where the shape is wrong, a value is not finite, or the quaternion is off unit by more than 1e-3.
     """
-    pose = np.asarray(values, dtype=float)
+    try:
+        pose = np.asarray(values, dtype=float)
+    except (TypeError, ValueError):
+        raise ModelError(f"{name}: need 7 values x y z qx qy qz qw, got {values!r:.60}") from None
     if pose.shape != (7,):
         raise ModelError(f"{name}: need 7 values x y z qx qy qz qw, got shape {pose.shape}")
     if not np.isfinite(pose).all():

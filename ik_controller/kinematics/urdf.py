@@ -82,10 +82,21 @@ class Urdf:
             if joint.mimic is not None and joint.mimic.leader not in self.joints:
                 raise ModelError(f"{source}: joint '{joint.name}' mimics '{joint.mimic.leader}', which does not exist")
         self._above = {joint.child: joint for joint in self.joints.values()}
+        elements = len(self._root.findall("joint"))
+        for kind, names, count in (("link", self.links, len(self.links)), ("joint", list(self.joints), elements)):
+            if len(set(names)) < count:
+                raise ModelError(f"{source}: two {kind}s have the same name")
+            if "" in names:
+                raise ModelError(f"{source}: a {kind} has no name")
+        for joint in self.joints.values():
+            if self._above[joint.child] is not joint:
+                other = self._above[joint.child].name
+                raise ModelError(f"{source}: link '{joint.child}' hangs on two joints, '{joint.name}' and '{other}'")
         roots = [link for link in self.links if link not in self._above]
         if len(roots) != 1:
             raise ModelError(f"{source}: need one root link, found {len(roots)}: {choices(roots)}")
         self.root_link = roots[0]
+        self._check_no_loop(source)
         self.movable = [joint.name for joint in self.joints.values() if joint.kind in MOVABLE]
 
     @classmethod
@@ -99,6 +110,17 @@ class Urdf:
         except (OSError, UnicodeDecodeError) as error:
             reason = error.strerror if isinstance(error, OSError) else "not text"
             raise ModelError(f"URDF '{path}' cannot be read: {reason}") from None
+
+    def _check_no_loop(self, source: str) -> None:
+        rooted = {self.root_link}
+        for link in self.links:
+            path: dict[str, None] = {}
+            while link not in rooted:
+                if link in path:
+                    raise ModelError(f"{source}: the links {choices(path)} form a loop that hangs on nothing")
+                path[link] = None
+                link = self._above[link].parent
+            rooted.update(path)
 
     @staticmethod
     def _joint(element: ElementTree.Element) -> Joint:
@@ -120,6 +142,14 @@ class Urdf:
             if child is None or not child.get("link"):
                 raise ModelError(f"joint '{name}' has no <{tag} link=…>")
             return child.get("link", "")
+
+        for tag, attribute in (("origin", "xyz"), ("origin", "rpy"), ("axis", "xyz")):
+            child = element.find(tag)
+            text = None if child is None else child.get(attribute)
+            if text is not None and not _is_vector(text):
+                raise ModelError(f"joint '{name}': <{tag} {attribute}='{text}'> is not 3 finite numbers")
+            if tag == "axis" and kind in MOVABLE and text is not None and not any(map(float, text.split())):
+                raise ModelError(f"joint '{name}': <axis xyz='{text}'> has no direction")
 
         lower, upper = number("limit", "lower", 0.0), number("limit", "upper", 0.0)
         if kind == "continuous":
@@ -177,3 +207,11 @@ class Urdf:
                 for element in link.findall(kind):
                     link.remove(element)
         return ElementTree.tostring(root, encoding="unicode")
+
+
+def _is_vector(text: str) -> bool:
+    try:
+        values = [float(part) for part in text.split()]
+    except ValueError:
+        return False
+    return len(values) == 3 and all(map(math.isfinite, values))
