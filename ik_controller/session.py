@@ -49,6 +49,7 @@ class Session:
         self._joint_states = JointStateReader(model.joint_names)
         self._measured: Array | None = None
         self._running = False
+        self._restarting = False  # brakes to rest before it starts anew
         self._set_times()
 
     def _set_times(self) -> None:
@@ -82,19 +83,27 @@ class Session:
 
         Raises IkControllerError where it cannot be applied (unknown, or parameters that do not fit); nothing changes then.
         """
-        content = json.loads(event)
+        try:
+            content = json.loads(event)
+        except ValueError:
+            content = None
+        if not isinstance(content, dict):
+            raise IkControllerError(f"not an event: {event[:60]!r}; need a JSON object with the key 'do'")
         do = content.get("do")
         if do == "pause":
             self.paused = True
             self.targets.clear()
         elif do == "resume":
             self.paused = False
-            self._running = False
+            self._restarting = True
         elif do == "reset":
-            self._running = False
+            self._restarting = True
             self.targets.clear()
         elif do == "parameters":
-            self.set_parameters(self.parameters.replace(content["values"]))
+            values = content.get("values")
+            if not isinstance(values, dict):
+                raise IkControllerError("event 'parameters' has no 'values', an object of names and values")
+            self.set_parameters(self.parameters.replace(values))
         elif do == "state":
             self._restore(content)
         else:
@@ -114,6 +123,8 @@ class Session:
         arrival = self.feedback_arrival
         fresh = arrival is not None and now - arrival <= self._feedback_timeout
         measured = self._measured if fresh else None
+        if self._restarting and not self.controller.velocity.any():
+            self._running = self._restarting = False
         if not self._running:
             if self.paused or measured is None:
                 lost = arrival is not None
@@ -122,7 +133,7 @@ class Session:
             # Whatever was commanded before, the arm starts from where it is.
             self.controller.reset(measured)
             self._running = True
-        reference = None if self.paused else self.targets.reference(now, self.dt)
+        reference = None if self.paused or self._restarting else self.targets.reference(now, self.dt)
         step = self.controller.step(measured, reference, self.dt)
         if self.paused:
             step.status = step.status._replace(code=Code.PAUSED)
@@ -142,6 +153,7 @@ class Session:
                 "parameters": self.parameters.as_mapping(),
                 "paused": self.paused,
                 "running": self._running,
+                "restarting": self._restarting,
                 "measured": None if self._measured is None else self._measured.tolist(),
                 "feedback_arrival": self.feedback_arrival,
                 "controller": controller.state(),
@@ -153,6 +165,7 @@ class Session:
         self.set_parameters(ControllerParameters.from_mapping(content["parameters"]))
         self.paused = bool(content["paused"])
         self._running = bool(content["running"])
+        self._restarting = bool(content["restarting"])
         self._measured = None if content["measured"] is None else np.array(content["measured"])
         self.feedback_arrival = content["feedback_arrival"]
         self.controller.restore(content["controller"])
