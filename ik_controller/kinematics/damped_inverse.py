@@ -21,7 +21,9 @@ from ik_controller.errors import ArgumentError
 
 Array = NDArray[np.float64]
 
-_TINY = 1e-20  # keeps 1/(σ² + λ²) finite where σ = λ = 0; that direction is then blocked by Jᵀu = 0
+# (σ/σ_max)² below which a direction is out of reach (more rows than columns, or singular): round-off is no velocity.
+_OUT_OF_REACH = 1e-14
+_TINY = 1e-300  # keeps 1/σ² finite for J = 0
 
 
 class DampedInverse:
@@ -51,9 +53,10 @@ class DampedInverse:
         self.directions = self._solver.eigenvectors()
         self.damped = values.item(0) < self._threshold2
         if self.damped:
-            values = np.maximum(values, 0.0)
+            reach = values > _OUT_OF_REACH * values.item(-1)
+            values = np.maximum(values, _TINY)
             weak = np.maximum(1.0 - values / self._threshold2, 0.0)
-            self._factors = 1.0 / (values + self._damping2 * weak + _TINY)
+            self._factors = reach / (values + self._damping2 * weak)
         else:
             self._factors = 1.0 / values
 
