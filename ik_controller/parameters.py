@@ -211,7 +211,7 @@ class ControllerParameters:
         known = {spec.name for spec in specs()}
         for name in values:
             if name not in known:
-                near = difflib.get_close_matches(name, known, n=3) or sorted(known)
+                near = difflib.get_close_matches(str(name), known, n=3) or sorted(known)
                 raise ParameterError(f"unknown parameter '{name}'; did you mean: {choices(near)}")
         return dataclasses.replace(self, **dict(values))
 
@@ -270,7 +270,7 @@ def gain_matrix(gain: tuple[float, ...], dt: float) -> NDArray[np.float64]:
             f"gain must be positive definite: the smallest eigenvalue of its symmetric part is {lowest:g}"
         )
     fastest = float(np.abs(np.linalg.eigvals(matrix)).max())
-    if fastest * dt > 1.0 + 1e-12:
+    if fastest * dt > 1.0 + 1e-6:  # cycles are whole nanoseconds: 1/rate may round up by half of one
         raise ParameterError(f"gain {fastest:g} 1/s times the cycle time {dt:g} s must be ≤ 1: at most {1 / dt:g} 1/s")
     return matrix
 
@@ -293,8 +293,8 @@ def _checked(spec: Spec, value: Any) -> Any:
         return value
     if spec.kind == "float":
         return _number(spec, value, fail)
-    if isinstance(value, str) or not hasattr(value, "__iter__"):
-        if spec.kind != "tuple[float, ...]" or isinstance(value, str):
+    if isinstance(value, (str, bytes, Mapping)) or not hasattr(value, "__iter__"):
+        if spec.kind != "tuple[float, ...]" or isinstance(value, (str, bytes, Mapping)):
             raise fail("a list")
         value = [value]  # one number for a list of one
     items = list(value)
@@ -310,7 +310,10 @@ def _checked(spec: Spec, value: Any) -> Any:
 def _number(spec: Spec, value: Any, fail: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
         raise fail("a number" if spec.kind == "float" else "a list of numbers")
-    number = float(value)
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.nan
     if math.isnan(number) or (math.isinf(number) and spec.section != "limits"):
         raise fail("a finite number")
     if (spec.low is not None and number < spec.low) or (spec.high is not None and number > spec.high):
