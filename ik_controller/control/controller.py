@@ -151,6 +151,9 @@ class Controller:
         """Joint-space target: q̇ = q̇_d + K (q_d − q), slowed as one where a joint must brake or is at a limit."""
         limits = self._limits
         assert reference.joints is not None and reference.joint_velocity is not None and self._q is not None
+        if reference.joints.shape != self._q.shape:
+            names = choices(self.model.joint_names)
+            raise ArgumentError(f"reference: {reference.joints.size} joints, need {self.model.n}, one for each of {names}")
         gain = self._law.slowest_gain
         feedback = gain * (reference.joints - self._q)
         ratio = gain * float((np.abs(feedback) / (0.7 * limits.acceleration)).max())
