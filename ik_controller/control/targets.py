@@ -22,12 +22,14 @@ from ik_controller.parameters import ControllerParameters
 
 Array = NDArray[np.float64]
 
-_KEPT = 64  # samples of a stream: more than any useful delay needs
+_KEPT = 64  # samples of a stream; more only where the delay of interpolation reaches further back, up to
+_MOST = 4096
 
 
 @dataclass
 class _Sample:
-    time: int  # [ns]
+    time: int  # [ns], our clock
+    stamp: int  # [ns], the sender's clock: what tells which twist belongs to which pose
     position: Array
     rotation: Array
     twist: Array | None
@@ -46,12 +48,13 @@ class Targets:
         self._tolerance = int(parameters.stamp_tolerance * 1e9)
         interpolate = parameters.reference_mode == "interpolate"
         self._delay = int(parameters.reference_delay * 1e9) if interpolate else 0
+        self._segment = None  # its slopes depend on the timeout
 
     def clear(self) -> None:
         """Forget all targets."""
         self._samples: list[_Sample] = []
         self._times: list[int] = []
-        self._twists: list[tuple[int, Array]] = []
+        self._twists: list[tuple[int, int, Array]] = []  # (time, stamp, twist) in the order of arrival
         self._acceleration: Array | None = None
         self._trajectory = False
         self._joints: tuple[Array, Array] | None = None
@@ -68,23 +71,29 @@ class Targets:
         self._pose_arrival = arrival
         self._joints = None
         time = self._own_time("pose", stamp, arrival)
-        twist = next((value for at, value in reversed(self._twists) if at == time), None)
-        self._insert(_Sample(time, position, rotation, twist))
-        if len(self._samples) > _KEPT:
+        stamp = stamp or arrival
+        twist = next((value for _, at, value in reversed(self._twists) if at == stamp), None)
+        self._insert(_Sample(time, stamp, position, rotation, twist))
+        count = len(self._samples)
+        if count > _MOST or (count > _KEPT and self._times[1] <= arrival - self._delay):
             del self._samples[0], self._times[0]
 
     def add_twist(self, stamp: int, arrival: int, twist: Array) -> None:
         """Take one twist (6,) (v, ω) [m/s, rad/s], base frame: of the pose with the same stamp, or a velocity command."""
         self._twist_arrival = arrival
         self._joints = None
+        if self._trajectory:
+            self._restart()
         time = self._own_time("twist", stamp, arrival)
-        self._twists.append((time, twist))
+        stamp = stamp or arrival
+        self._twists.append((time, stamp, twist))
         del self._twists[:-_KEPT]
         self._acceleration = self._estimate_acceleration()
-        index = bisect.bisect_left(self._times, time)
-        if index < len(self._times) and self._times[index] == time and not self._trajectory:
-            self._samples[index].twist = twist
-            self._segment = None
+        for sample in reversed(self._samples[-_KEPT:]):
+            if sample.stamp == stamp:
+                sample.twist = twist
+                self._segment = None
+                break
 
     def set_trajectory(self, arrival: int, points: list[tuple[int, Array, Array, Array | None]]) -> None:
         """Replace all by timed poses (time [ns], position, rotation, twist or None), times rising."""
@@ -93,7 +102,7 @@ class Targets:
         self._joints = None
         self._pose_arrival = arrival
         for time, position, rotation, twist in points:
-            self._insert(_Sample(time, position, rotation, twist))
+            self._insert(_Sample(time, time, position, rotation, twist))
         for end in (0, -1):
             if self._samples[end].twist is None:
                 self._samples[end].twist = np.zeros(6)
@@ -133,10 +142,16 @@ class Targets:
         """Return all that is kept as JSON types, for `restore`; floats come back bit for bit."""
         return {
             "samples": [
-                (s.time, s.position.tolist(), s.rotation.tolist(), None if s.twist is None else s.twist.tolist())
+                (
+                    s.time,
+                    s.stamp,
+                    s.position.tolist(),
+                    s.rotation.tolist(),
+                    None if s.twist is None else s.twist.tolist(),
+                )
                 for s in self._samples
             ],
-            "twists": [(time, twist.tolist()) for time, twist in self._twists],
+            "twists": [(time, stamp, twist.tolist()) for time, stamp, twist in self._twists],
             "trajectory": self._trajectory,
             "joints": None if self._joints is None else [values.tolist() for values in self._joints],
             "arrivals": (self._pose_arrival, self._twist_arrival, self._joints_arrival),
@@ -146,10 +161,10 @@ class Targets:
     def restore(self, state: dict[str, Any]) -> None:
         """Take a state of `state`."""
         self.clear()
-        for time, position, rotation, twist in state["samples"]:
+        for time, stamp, position, rotation, twist in state["samples"]:
             rate = None if twist is None else np.array(twist)
-            self._insert(_Sample(time, np.array(position), np.array(rotation), rate))
-        self._twists = [(time, np.array(twist)) for time, twist in state["twists"]]
+            self._insert(_Sample(time, stamp, np.array(position), np.array(rotation), rate))
+        self._twists = [(time, stamp, np.array(twist)) for time, stamp, twist in state["twists"]]
         self._acceleration = self._estimate_acceleration()
         self._trajectory = bool(state["trajectory"])
         joints = state["joints"]
@@ -172,7 +187,7 @@ class Targets:
         if self._samples and (self._trajectory or now - self._pose_arrival <= self._timeout):
             return self._pose_reference(now - self._delay if not self._trajectory else now, dt)
         if self._twists and now - self._twist_arrival <= self._timeout:
-            return Reference(twist=self._twists[-1][1])
+            return Reference(twist=self._twists[-1][2])
         return None
 
     def _pose_reference(self, time: int, dt: float) -> Reference:
@@ -201,7 +216,7 @@ class Targets:
         if sample.twist is not None:
             return sample.twist
         if self._twists and abs(self._twists[-1][0] - sample.time) <= self._timeout:
-            return self._twists[-1][1]
+            return self._twists[-1][2]
         return None
 
     def _estimate_acceleration(self) -> Array | None:
@@ -210,7 +225,8 @@ class Targets:
         """
         if len(self._twists) < 3:
             return None
-        (t0, v0), (t1, v1), (t2, v2) = self._twists[-3:]
+        last = sorted(self._twists[-6:], key=lambda entry: entry[0])  # some may have overtaken others
+        (t0, _, v0), (t1, _, v1), (t2, _, v2) = last[-3:]
         if not (t0 < t1 < t2 and t2 - t0 <= self._timeout):
             return None
         older, newer = (v1 - v0) * (1e9 / (t1 - t0)), (v2 - v1) * (1e9 / (t2 - t1))
