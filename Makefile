@@ -7,16 +7,17 @@ BIN := $(VENV)/bin
 ifdef ROS_DISTRO
 ROS := $(ROS_DISTRO)
 VENV_FLAGS := --system-site-packages
-REQUIREMENTS := requirements.txt requirements-dev.txt
+REQUIREMENTS := requirements.txt
 else
 ROS := wheels
 VENV_FLAGS :=
-REQUIREMENTS := requirements.txt requirements-dev.txt requirements-ros.txt
+REQUIREMENTS := requirements.txt requirements-ros.txt
 endif
 
-# Written last, so an interrupted installation is done again; named for what the environment was made from.
+# Stamps, each written last, so that an interrupted installation is done again; named for what .venv was made from.
 PACKAGES := $(VENV)/packages-$(subst /,_,$(PYTHON))-$(ROS)
 READY := $(PACKAGES)-ready
+DEV := $(PACKAGES)-dev
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input --quiet install
 
 .PHONY: demo test soak lint bench bench-peers docs install clean help
@@ -24,13 +25,13 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input --quiet insta
 demo: $(READY)  ## the main job: simulated arm, node and target streamer over DDS, recorded, replayed, drawn
 	@$(BIN)/ik_controller demo
 
-test: $(READY)  ## the test suite
+test: $(READY) $(DEV)  ## the test suite
 	@$(BIN)/python -m pytest -m "not soak"
 
-soak: $(READY)  ## checks too long for every day
+soak: $(READY) $(DEV)  ## checks too long for every day
 	@$(BIN)/python -m pytest -m soak
 
-lint: $(READY)  ## ruff and mypy
+lint: $(READY) $(DEV)  ## ruff and mypy
 	@$(BIN)/ruff check .
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
@@ -43,11 +44,12 @@ bench-peers: $(READY)  ## the same jobs by other libraries, each in an environme
 
 docs: $(READY)  ## the parts of the documentation that are made from the code
 	@$(BIN)/python scripts/make_docs.py
+	@$(BIN)/python docs/pictures.py
 
-install: $(READY)  ## .venv alone
+install: $(READY) $(DEV)  ## .venv alone
 
-clean:  ## remove .venv and all that builds and runs leave behind
-	@rm -rf $(VENV) build install log runs dist *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache
+clean:  ## remove .venv and what builds leave behind; recorded runs stay
+	@rm -rf $(VENV) build install log dist *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache
 	@find ik_controller test scripts launch -name __pycache__ -prune -exec rm -rf {} +
 
 help:  ## this list
@@ -56,11 +58,16 @@ help:  ## this list
 $(PACKAGES): $(REQUIREMENTS) scripts/check_python.py
 	@command -v $(PYTHON) >/dev/null || { echo "make: $(PYTHON) not found: install Python 3.10-3.13 or say which: make PYTHON=/path/to/python3" >&2; exit 1; }
 	@$(PYTHON) scripts/check_python.py
-	@echo "Setting up $(VENV) with `$(PYTHON) --version` (once, a minute or two) ..."
+	@echo "Setting up $(VENV) with $$($(PYTHON) --version): once, a minute or two ..."
 	@$(PYTHON) -m venv --clear $(VENV_FLAGS) $(VENV)
 	@$(PIP) $(REQUIREMENTS:%=-r %)
 	@touch $@
 
 $(READY): $(PACKAGES) setup.py pyproject.toml
 	@$(PIP) --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(DEV): $(PACKAGES) requirements-dev.txt
+	@echo "Adding what tests and lint need: once ..."
+	@$(PIP) -r requirements-dev.txt
 	@touch $@

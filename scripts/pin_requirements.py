@@ -20,13 +20,13 @@ VERSIONS = ("3.10", "3.11", "3.12", "3.13")
 # Each file adds to those before it.
 FILES = {
     "requirements.txt": (
-        "What the package needs to run, ROS apart; numba is optional and makes offline work faster.",
+        "What the package needs to run and to be installed, ROS apart; numba is optional and speeds up offline work.",
         ["numpy", "pin", "mcap", "rosbags", "PyYAML", "zstandard", "lz4", "matplotlib", "daqp",
-         "numba"],
+         "numba", "setuptools"],
     ),
     "requirements-dev.txt": (
-        "What tests and lint need besides; setuptools builds the editable install.",
-        ["setuptools", "wheel", "pytest", "hypothesis", "ruff", "mypy", "mcap-ros2-support", "example-robot-data",
+        "What tests and lint need besides.",
+        ["pytest", "hypothesis", "ruff", "mypy", "mcap-ros2-support", "example-robot-data",
          "catkin_pkg"],
     ),
     "requirements-ros.txt": (
