@@ -30,8 +30,8 @@ EVENTS = ("pause", "resume", "reset", "parameters", "state")
 class Session:
     """Takes inputs as they arrive and turns each cycle's into one command.
 
-    `controller`, `targets`, `parameters`; `rejected` counts unusable messages by role, `last_rejected` tells of the last
-    one; `paused`; `status` of the last cycle.
+    `controller`, `targets`, `parameters`; `period` of a cycle [ns], `dt` the same [s]; `rejected` counts unusable
+    messages by role, `last_rejected` tells of the last one; `paused`; `status` of the last cycle.
     """
 
     def __init__(self, model: RobotModel, parameters: ControllerParameters) -> None:
@@ -53,7 +53,8 @@ class Session:
         self._set_times()
 
     def _set_times(self) -> None:
-        self.dt = 1.0 / self.parameters.rate
+        self.period = round(1e9 / self.parameters.rate)  # of a cycle [ns]
+        self.dt = self.period / 1e9
         self._feedback_timeout = int(self.parameters.feedback_timeout * 1e9)
 
     # -- what arrives
@@ -115,6 +116,11 @@ class Session:
         self.targets.set_parameters(parameters)
         self.parameters = parameters
         self._set_times()
+
+    @property
+    def measured(self) -> Array | None:
+        """The joints as last measured (n,), None before the first joint state."""
+        return self._measured
 
     # -- one cycle
 

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ik_controller.control.bounded import bounded_velocity
-from ik_controller.control.law import Law
+from ik_controller.control.kernel import braking_factor, tool_cycle
+from ik_controller.control.law import BRAKING_SHARE, Law
 from ik_controller.control.limits import JointLimits
 from ik_controller.control.reference import Reference
 from ik_controller.control.status import Code, Limit, Status
@@ -115,36 +116,42 @@ class Controller:
             error = np.zeros(6) if reference is None else self._law.observe(reference, q)
             return Step(q, v, error, Status(code))
 
-        base = self.parameters.integration_base
+        base, limits = self.parameters.integration_base, self._limits
+        bounds = limits.bounds
         if base == "bounded" and q_measured is not None:
-            deviation = self.parameters.max_deviation
-            self._limits.update(q, v, dt, q_measured - deviation, q_measured + deviation)
-        else:
-            self._limits.update(q, v, dt)
+            bounds = limits.bounds_around(q_measured, self.parameters.max_deviation)
+        if reference is not None and reference.joints is None and q_measured is not None:
+            return self._follow_tool(reference, q_measured if base == "measured" else q, dt, bounds)
+        limits.update(q, v, dt, bounds)
         if reference is None or q_measured is None:
             return self._stop(dt, Code.NO_FEEDBACK if q_measured is None else Code.HOLDING)
-        if reference.joints is not None:
-            return self._follow_joints(reference, dt)
-        return self._follow_tool(reference, q_measured if base == "measured" else q, dt)
+        return self._follow_joints(reference, dt)
 
     # -- the three ways to move
 
-    def _follow_tool(self, reference: Reference, at: Array, dt: float) -> Step:
-        law, limits = self._law, self._limits
-        task, null = law.velocity(reference, at, self._v, dt)
-        wanted = task if null is None else task + null
-        within = np.fmin(np.fmax(wanted, limits.low), limits.high)
-        sigma, damped = law.inverse.smallest_singular_value, law.inverse.damped
-        if within.tobytes() == wanted.tobytes():
+    def _follow_tool(self, reference: Reference, at: Array, dt: float, bounds: Array) -> Step:
+        law, limits, inverse = self._law, self._limits, self._law.inverse
+        wanted, reach, fits = tool_cycle(
+            *law.prepare(reference, at, self._v, dt),
+            self._q,
+            self._v,
+            dt,
+            bounds,
+            limits.velocity_twice,
+            limits.acceleration_twice,
+        )
+        sigma, damped = inverse.smallest_singular_value, inverse.damped
+        if fits:
             return self._commit(wanted, dt, law.error, Status(Code.TRACKING, 1.0, Limit.NONE, -1, damped, sigma))
+        limits.take(reach)
         if not math.isfinite(wanted.dot(wanted)):
             return self._stop(dt, Code.HOLDING)
-        inverse = law.inverse
         velocity, scale, _ = bounded_velocity(
             wanted, law.jacobian, inverse.eigenvalues, inverse.directions, limits.low, limits.high, limits.velocity
         )
-        joint = int(np.argmax(np.abs(wanted - within) / limits.velocity))
-        limit = self._limit(joint, wanted.item(joint), dt)
+        beyond = np.fmax(wanted - limits.high, limits.low - wanted)
+        joint = int(np.argmax(beyond / limits.velocity))
+        limit = limits.which(joint, wanted.item(joint), self._v, dt)
         return self._commit(velocity, dt, law.error, Status(Code.TRACKING, scale, limit, joint, damped, sigma))
 
     def _follow_joints(self, reference: Reference, dt: float) -> Step:
@@ -153,7 +160,9 @@ class Controller:
         assert reference.joints is not None and reference.joint_velocity is not None and self._q is not None
         if reference.joints.shape != self._q.shape:
             names = choices(self.model.joint_names)
-            raise ArgumentError(f"reference: {reference.joints.size} joints, need {self.model.n}, one for each of {names}")
+            raise ArgumentError(
+                f"reference: {reference.joints.size} joints, need {self.model.n}, one for each of {names}"
+            )
         gain = self._law.slowest_gain
         feedback = gain * (reference.joints - self._q)
         ratio = gain * float((np.abs(feedback) / (0.7 * limits.acceleration)).max())
@@ -167,7 +176,7 @@ class Controller:
         velocity = np.fmin(np.fmax(scale * wanted, limits.low), limits.high)
         gap = np.abs(wanted - velocity)
         joint = int(np.argmax(gap))
-        limit = self._limit(joint, wanted.item(joint), dt) if gap.item(joint) > 0.0 else Limit.NONE
+        limit = limits.which(joint, wanted.item(joint), self._v, dt) if gap.item(joint) > 0.0 else Limit.NONE
         status = Status(Code.TRACKING, scale, limit, joint if limit is not Limit.NONE else -1)
         return self._commit(velocity, dt, np.zeros(6), status)
 
@@ -181,12 +190,7 @@ class Controller:
             code = Code.STOPPING
         return self._commit(velocity, dt, np.zeros(6), Status(code))
 
-    def _limit(self, joint: int, wanted: float, dt: float) -> Limit:
-        assert self._q is not None
-        return self._limits.which(joint, wanted, self._q, self._v, dt)
-
     def _commit(self, velocity: Array, dt: float, error: Array, status: Status) -> Step:
-        assert self._q is not None
         self._v = velocity
         self._q = self._q + dt * velocity
         return Step(self._q, velocity, error, status)

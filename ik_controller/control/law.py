@@ -4,11 +4,14 @@ Over a cycle from t to t + dt, the error e is taken at the cycle's start and ẋ
 cycle, so that the feed-forward ends where the reference does. J is taken at the *predicted middle* of the cycle,
 q + ½ q̇_previous dt: joint velocities change by at most a·dt between cycles, so the middle is known to O(dt²), and with it
 the integration is the midpoint rule at the price of one forward kinematics more.
+
+From far away K e asks for more than the joints can brake. q̇ = K δ decays at the rate K only while K |q̇| ≤ a; beyond, the
+fastest approach that can still stop is q̇ = √(2 a (δ − a/2K²)), its tangent continuation. With r = K |q̇|/a the ratio of
+the two is β = √(2r − 1)/r, taken for all joints as one so that the direction stays.
 """
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -25,9 +28,10 @@ Array = NDArray[np.float64]
 
 # Share of the acceleration limits that the approach to a target plans its braking with; the rest is for the moving
 # reference, the turning of J and the posture.
-_BRAKING_SHARE = 0.7
+BRAKING_SHARE = 0.7
 # The posture is sought at most at this share of the velocity limits.
 _POSTURE_SHARE = 0.2
+_NO_TWIST = np.zeros(6)
 
 
 class Law:
@@ -43,12 +47,12 @@ class Law:
         self._orientation_error = ORIENTATION_ERRORS[parameters.orientation_error]
         self._posture = np.array(parameters.posture) if parameters.posture else None
         self._posture_gain = parameters.posture_gain
-        self._velocity_limit = model.velocity_limit * parameters.velocity_scale
-        self._acceleration = _BRAKING_SHARE * model.acceleration_limit * parameters.acceleration_scale
+        self._no_seek = np.zeros(model.n)
+        self._seek_limit = _POSTURE_SHARE * model.velocity_limit * parameters.velocity_scale
+        self._braking = BRAKING_SHARE * model.acceleration_limit * parameters.acceleration_scale
         self.inverse = DampedInverse(6, parameters.damping, parameters.singular_value_threshold)
         self.error = np.zeros(6)
         self.jacobian = np.zeros((6, model.n))
-        self._sides = np.zeros((6, 2))  # right-hand sides: feedback, feed-forward
         self._data: Any = model.pin_model.createData()
         self._middle_data: Any = model.pin_model.createData()
         tool = self._data.oMf[model.tool_id]
@@ -72,38 +76,27 @@ class Law:
         error[3:] = self._orientation_error.function(reference.rotation, rotation)
         return error
 
-    def velocity(self, reference: Reference, q: Array, v: Array, dt: float) -> tuple[Array, Array | None]:
-        """Return (task, null): J⁺(ẋ_d + K e) and (I − J⁺J) q̇₀, each (n,) [rad/s or m/s]; null None without posture.
+    def prepare(self, reference: Reference, q: Array, v: Array, dt: float) -> tuple[Any, ...]:
+        """Return the first nine arguments of `kernel.tool_cycle` for a tool reference.
 
         q (n,): joints at which e and J are taken; v (n,): the last commanded velocity; dt [s].
         """
-        sides = self._sides
         error = self.observe(reference, q)
-        feedback = self._gain.dot(error)
+        feedback: Array = self._gain.dot(error)
         if reference.rotation is not None:
             feedback[3:] = self._orientation_error.to_angular_velocity(feedback[3:], self._rotation)
-        sides[:, 0] = feedback
-        sides[:, 1] = reference.twist if self._feed_forward or reference.position is None else 0.0
-
-        self.jacobian = jacobian = frame_jacobian(
-            self._model, self._middle_data, q + (0.5 * dt) * v, self._model.tool_id
+        use_twist = reference.twist is not None and (self._feed_forward or reference.position is None)
+        model, inverse = self._model, self.inverse
+        self.jacobian = jacobian = frame_jacobian(model, self._middle_data, q + (0.5 * dt) * v, model.tool_id)
+        inverse.factor(jacobian)
+        return (
+            jacobian,
+            inverse.directions,
+            inverse.factors,
+            reference.twist if use_twist else _NO_TWIST,
+            feedback,
+            self._fastest,
+            self._braking,
+            self._no_seek if self._posture is None else self._posture_gain * (self._posture - q),
+            self._seek_limit,
         )
-        self.inverse.factor(jacobian)
-        solved = self.inverse.apply(sides)
-        approach = solved[:, 0]
-        task: Array = solved[:, 1] + self._braking(approach) * approach
-        if self._posture is None:
-            return task, None
-        seek = (self._posture - q) * self._posture_gain
-        speed = np.abs(seek) / self._velocity_limit
-        seek *= _POSTURE_SHARE / max(float(speed.max()), _POSTURE_SHARE)
-        return task, seek - self.inverse.apply(jacobian.dot(seek))
-
-    def _braking(self, approach: Array) -> float:
-        """Return the factor on the feedback velocity from which every joint can brake to a stop at the target.
-
-        q̇ = K δ decays at the rate K only while K |q̇| ≤ a; from further away the fastest approach that can still stop is
-        q̇ = √(2 a (δ − a/2K²)), its tangent continuation. With r = K q̇/a the ratio of the two is √(2r − 1)/r.
-        """
-        ratio = self._fastest * float((np.abs(approach) / self._acceleration).max())
-        return math.sqrt(2.0 * ratio - 1.0) / ratio if ratio > 1.0 else 1.0

@@ -40,7 +40,7 @@ class DampedInverse:
         self._jacobian: Array = np.zeros((rows, 1))
         self.eigenvalues: Array = np.ones(rows)  # σᵢ², ascending
         self.directions: Array = np.eye(rows)  # column i: the task direction of σᵢ
-        self._factors: Array = np.ones(rows)
+        self.factors: Array = np.ones(rows)  # 1/(σᵢ² + λᵢ²)
         self.damped = False
 
     def factor(self, jacobian: Array) -> None:
@@ -56,14 +56,14 @@ class DampedInverse:
             reach = values > _OUT_OF_REACH * values.item(-1)
             values = np.maximum(values, _TINY)
             weak = np.maximum(1.0 - values / self._threshold2, 0.0)
-            self._factors = reach / (values + self._damping2 * weak)
+            self.factors = reach / (values + self._damping2 * weak)
         else:
-            self._factors = 1.0 / values
+            self.factors = 1.0 / values
 
     def apply(self, velocity: Array) -> Array:
         """Return J⁺ v (n,) or (n, k) for v (m,) or (m, k), damped near singularities."""
         weights = self.directions.T.dot(velocity)
-        weights = (weights.T * self._factors).T
+        weights = (weights.T * self.factors).T
         result: Array = self._jacobian.T.dot(self.directions.dot(weights))
         return result
 

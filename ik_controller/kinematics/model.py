@@ -266,7 +266,7 @@ def frame_jacobian(model: RobotModel, data: Any, q: Array, frame_id: int) -> Arr
     jacobian: Array = pin.computeFrameJacobian(
         model.pin_model, data, model.expand(q), frame_id, pin.LOCAL_WORLD_ALIGNED
     )
-    return jacobian if model.expansion is None else np.asfortranarray(jacobian @ model.expansion)
+    return jacobian if model.expansion is None else np.ascontiguousarray(jacobian @ model.expansion)
 
 
 def pose_from(values: ArrayLike, name: str = "pose") -> Any:

@@ -1,0 +1,54 @@
+"""The command line: `ik_controller VERB …`. Each verb is a module of `ik_controller.verbs`, imported only when asked for.
+
+Exit codes of every verb: 0 success, 1 "ran, and the answer is no", 2 bad usage or input (one line on stderr).
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+
+from ik_controller.errors import IkControllerError
+
+VERBS = ("demo", "replay", "report", "solve", "doctor", "recover", "bench", "sim", "stream")
+
+
+class _Parser(argparse.ArgumentParser):
+    """argparse, but a usage mistake is one line."""
+
+    def error(self, message: str) -> None:  # type: ignore[override]
+        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run one verb and return the exit code."""
+    given = sys.argv[1:] if arguments is None else arguments
+    if given[:1] == ["--version"]:
+        from ik_controller import __version__
+
+        print(__version__)
+        return 0
+    verb = given[0] if given and given[0] in VERBS else None
+    parser = _Parser(prog="ik_controller", description="Closed-loop inverse kinematics for ROS 2 arms.")
+    verbs = parser.add_subparsers(dest="verb", metavar="VERB", required=True)
+    for name in VERBS if verb is None else (verb,):
+        module = importlib.import_module(f"ik_controller.verbs.{name}")
+        module.add_arguments(verbs.add_parser(name, help=module.HELP, description=module.HELP))
+    options = parser.parse_args(given)
+    try:
+        module = importlib.import_module(f"ik_controller.verbs.{options.verb}")
+        return int(module.run(options))
+    except IkControllerError as error:
+        print(f"ik_controller {options.verb}: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:  # the reader of our output has gone, as in `… | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,96 @@
+"""The numbers of one cycle: functions of arrays alone, compiled by Numba where it is installed, the same source without.
+
+n joints; J (6, n); arrays are float64. The formulas are explained where they belong: the law in `law`, the interval in
+`limits`, the damping in `damped_inverse`.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ik_controller.kinematics.accelerate import compiled
+
+Array = NDArray[np.float64]
+
+
+@compiled
+def velocity_interval(q: Array, v: Array, dt: float, bounds: Array, velocity: Array, acceleration: Array) -> Array:
+    """Return the velocities (2n,) that each joint may reach upward (first n) and downward (last n, negated).
+
+    q, v (n,): the commanded state; dt [s]; `bounds` (2n,): upper limits, then negated lower ones; `velocity`,
+    `acceleration` (2n,): the limits, twice.
+    """
+    speed = np.concatenate((v, -v))
+    room = np.maximum(bounds - np.concatenate((q, -q)), 0.0)
+    reach = acceleration * (np.sqrt(dt * dt + (2.0 * room) / acceleration) - dt)
+    # Rounding in the square root may ask for a little more than the room: never step over the bound.
+    reach = np.minimum(np.minimum(reach, room * (1.0 / dt)), velocity)
+    # Acceleration comes last: it always holds; the others do as long as they held before (or shrink to it).
+    step = acceleration * dt
+    return np.minimum(np.maximum(reach, speed - step), speed + step)
+
+
+@compiled
+def apply_inverse(jacobian: Array, directions: Array, factors: Array, twist: Array) -> Array:
+    """Return J⁺ x (n,) = Jᵀ U diag(f) Uᵀ x for a twist x (6,)."""
+    return np.dot(jacobian.T, np.dot(directions, factors * np.dot(directions.T, twist)))
+
+
+@compiled
+def braking_factor(approach: Array, fastest: float, acceleration: Array) -> float:
+    """Return β ≤ 1 for the feedback velocity (n,): with r = max K |q̇|/a, √(2r − 1)/r where r > 1."""
+    ratio = fastest * np.max(np.abs(approach) / acceleration)
+    if ratio > 1.0:
+        return math.sqrt(2.0 * ratio - 1.0) / ratio
+    return 1.0
+
+
+@compiled
+def task_velocity(
+    jacobian: Array,
+    directions: Array,
+    factors: Array,
+    feed_forward: Array,
+    feedback: Array,
+    fastest: float,
+    braking: Array,
+    seek: Array,
+    seek_limit: Array,
+) -> Array:
+    """Return J⁺(ẋ_d + β K e) + (I − J⁺J) q̇₀ (n,).
+
+    `feed_forward` ẋ_d and `feedback` K e (6,); `fastest` the largest eigenvalue of K; `braking` (n,) the accelerations
+    that β plans with; `seek` (n,) = q̇₀, slowed as a whole to stay below `seek_limit` (n,).
+    """
+    approach = apply_inverse(jacobian, directions, factors, feedback)
+    null = seek / max(np.max(np.abs(seek) / seek_limit), 1.0)
+    steady = null + apply_inverse(jacobian, directions, factors, feed_forward - np.dot(jacobian, null))
+    return steady + braking_factor(approach, fastest, braking) * approach
+
+
+@compiled
+def tool_cycle(
+    jacobian: Array,
+    directions: Array,
+    factors: Array,
+    feed_forward: Array,
+    feedback: Array,
+    fastest: float,
+    braking: Array,
+    seek: Array,
+    seek_limit: Array,
+    q: Array,
+    v: Array,
+    dt: float,
+    bounds: Array,
+    velocity: Array,
+    acceleration: Array,
+) -> tuple[Array, Array, bool]:
+    """Return (wanted (n,), reach (2n,), fits): `task_velocity`, `velocity_interval`, and whether the one is in the other."""
+    wanted = task_velocity(jacobian, directions, factors, feed_forward, feedback, fastest, braking, seek, seek_limit)
+    reach = velocity_interval(q, v, dt, bounds, velocity, acceleration)
+    fits = np.all(np.concatenate((wanted, -wanted)) <= reach)
+    return wanted, reach, bool(fits)

@@ -1,0 +1,300 @@
+"""Replay: run a recorded run again, offline, and compare every command bit for bit.
+
+A run of ours is repeated from its inputs, events and cycle times. A bag without cycle records (somebody's targets, or
+joint states alone) is run against the ideal arm at the configured rate instead; then there is nothing to compare with.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ik_controller.control.controller import Step
+from ik_controller.control.simulated_arm import SimulatedArm
+from ik_controller.control.status import Code
+from ik_controller.errors import BagError
+from ik_controller.messages import cdr
+from ik_controller.messages.inputs import INPUTS
+from ik_controller.parameters import ControllerParameters
+from ik_controller.recording.reader import BagReader
+from ik_controller.recording.run import RunInfo, RunWriter, default_topics, software
+from ik_controller.recording.statistics import ErrorStatistics
+from ik_controller.recording.target_bag import TimedTarget, read_targets, restamped
+from ik_controller.robots import build_model
+from ik_controller.session import Session
+
+Array = NDArray[np.float64]
+
+_NEEDED = (*INPUTS, "events", "joint_commands", "cycle")
+_WAITING = 20_000  # messages that an output bag may lag behind
+
+
+@dataclass
+class Replay:
+    """What a replay found.
+
+    `commands` compared; `identical` None where there was nothing to compare; `first_difference` the cycle's index, None
+    where all are identical; `max_difference` [rad or m]; `software` name → (then, now) where they differ.
+    """
+
+    commands: int = 0
+    cycles: int = 0
+    identical: bool | None = None
+    first_difference: int | None = None
+    max_difference: float = 0.0
+    duration: float = 0.0  # of the run [s]
+    elapsed: float = 0.0  # of the replay [s]
+    software: dict[str, tuple[str, str]] = field(default_factory=dict)
+    errors: ErrorStatistics = field(default_factory=ErrorStatistics)
+    missed: int = 0
+    complete: bool = True
+
+    @property
+    def real_time_factor(self) -> float:
+        """How many times faster than real time the replay ran."""
+        return self.duration / self.elapsed if self.elapsed > 0.0 else 0.0
+
+    def as_mapping(self) -> dict[str, Any]:
+        """Return the keys of `replay --json`."""
+        return {
+            "commands": self.commands,
+            "identical": self.identical,
+            "first_difference": self.first_difference,
+            "max_difference": self.max_difference,
+            "real_time_factor": self.real_time_factor,
+            **self.errors.as_mapping(),
+            "cycles": self.cycles,
+            "complete": self.complete,
+            "software": {name: {"then": then, "now": now} for name, (then, now) in self.software.items()},
+        }
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """One replayed cycle: its record, the Step (None where nothing was commanded) and the recorded command's bytes."""
+
+    index: int
+    time: int
+    late: int
+    work: int
+    step: Step | None
+    recorded: bytes | None
+
+
+def session_of(bag: BagReader, changes: Mapping[str, Any]) -> tuple[Session, RunInfo]:
+    """Return a session as the bag's run began, with `changes` to its parameters. Raises BagError for a foreign bag."""
+    info = RunInfo.of(bag)
+    if info is None:
+        raise BagError(f"bag '{bag.path}' holds no run of ik_controller")
+    parameters = info.parameters.replace(changes)
+    return Session(build_model(parameters, info.urdf), parameters), info
+
+
+def cycles(
+    bag: BagReader, session: Session, info: RunInfo, changes: Mapping[str, Any], output: RunWriter | None = None
+) -> Iterator[Cycle]:
+    """Run the recorded run through `session` and yield cycle by cycle; `changes` stay in force whatever was recorded."""
+    role_of = {topic: role for role, topic in info.topics.items() if role in _NEEDED}
+    present = {topic.name for topic in bag.topics}
+    recorded: bytes | None = None
+    for topic, now, data, _ in bag.messages([name for name in role_of if name in present]):
+        role = role_of[topic]
+        if role == "cycle":
+            index, at, _, late, work, _ = cdr.decode_cycle(data)
+            step = session.cycle(at)
+            yield Cycle(index, at, late, work, step, recorded)
+            recorded = None
+        elif role == "joint_commands":
+            recorded = data
+        elif role == "events":
+            event = str(cdr.decode(cdr.STRING, data).data)
+            session.apply(event)
+            if changes:
+                session.set_parameters(session.parameters.replace(changes))
+            if output is not None:
+                output.event(now, event)
+        else:
+            session.take(role, data, now)
+            if output is not None:
+                output.write(role, now, data)
+
+
+def replay(
+    bag: BagReader,
+    *,
+    changes: Mapping[str, Any] | None = None,
+    robot: ControllerParameters | None = None,
+    output: Path | None = None,
+) -> Replay:
+    """Replay a bag and compare; see the module.
+
+    `changes`: parameters to change, for a what-if run. `robot`: the parameters for a bag that holds no run of ours.
+    `output`: folder of a new bag with the replayed run. Raises BagError, ParameterError, ModelError.
+    """
+    changed = dict(changes or {})
+    if RunInfo.of(bag) is None:
+        if robot is None:
+            raise BagError(f"bag '{bag.path}' holds no run of ik_controller: name the robot to run its targets on")
+        return _run_foreign(bag, robot.replace(changed), output)
+    session, info = session_of(bag, changed)
+    result = Replay(identical=True, complete=bag.complete)
+    now_software = software()
+    result.software = {
+        name: (then, now_software.get(name, "none"))
+        for name, then in info.software.items()
+        if now_software.get(name) != then
+    }
+    writer = None
+    if output is not None:
+        writer = RunWriter(output, session, info.topics, session.parameters.record_compression)
+    encode = cdr.JointStateWriter(session.model.joint_names)
+    first = last = 0
+    begin = time.perf_counter()
+    for cycle in cycles(bag, session, info, changed, writer):
+        step = cycle.step
+        first, last = first or cycle.time, cycle.time
+        result.cycles += 1
+        if cycle.late > session.period:
+            result.missed += 1
+        data = None if step is None else encode.write(cycle.time + session.period, step.position, step.velocity)
+        if cycle.recorded is not None or data is not None:
+            result.commands += 1
+            if data != cycle.recorded:
+                _note_difference(result, cycle, encode)
+        if step is not None:
+            _add_error(result.errors, step)
+        if writer is not None:
+            if data is not None:
+                writer.write("joint_commands", cycle.time, data)
+            writer.cycle(
+                cycle.index, cycle.time, int(session.status.code), cycle.late, cycle.work, int(data is not None)
+            )
+            _wait_for(writer)
+    result.elapsed = time.perf_counter() - begin
+    result.duration = (last - first) * 1e-9
+    if writer is not None:
+        writer.close()
+    return result
+
+
+def _note_difference(result: Replay, cycle: Cycle, encode: cdr.JointStateWriter) -> None:
+    if result.first_difference is None:
+        result.first_difference = cycle.index
+    result.identical = False
+    if cycle.step is None or cycle.recorded is None:
+        result.max_difference = float("inf")
+        return
+    try:
+        recorded = encode.positions(cycle.recorded)
+    except ValueError:
+        result.max_difference = float("inf")
+        return
+    result.max_difference = max(result.max_difference, float(np.abs(cycle.step.position - recorded).max()))
+
+
+def _add_error(errors: ErrorStatistics, step: Step) -> None:
+    # Only a pose reference leaves an error behind; exactly zero means that there was none.
+    if step.status.code is Code.TRACKING and step.error.any():
+        errors.add(step.error)
+
+
+def _wait_for(writer: RunWriter) -> None:
+    """Let the output bag keep up: nothing may be lost here, and nothing is in a hurry."""
+    if writer.pending() > _WAITING:
+        while writer.pending() > _WAITING // 2:
+            time.sleep(0.01)
+
+
+def _run_foreign(bag: BagReader, parameters: ControllerParameters, output: Path | None) -> Replay:
+    """Run a bag's targets, or its joint states as tool poses, on the ideal arm."""
+    model = build_model(parameters)
+    session = Session(model, parameters)
+    start = np.array(parameters.posture) if parameters.posture else model.middle()
+    kinds = {topic.type_name for topic in bag.topics}
+    if kinds & {cdr.POSE, cdr.TWIST, cdr.TRAJECTORY}:
+        targets = read_targets(bag)
+    else:
+        targets, start = _joints_as_poses(bag, session)
+    result = Replay(complete=bag.complete)
+    writer = RunWriter(output, session, default_topics(), parameters.record_compression) if output else None
+    arm = SimulatedArm(start)
+    encode = cdr.JointStateWriter(model.joint_names)
+    epoch = 1_000_000_000_000_000_000
+    if writer is not None:
+        writer.begin(session, epoch)
+    end = targets[-1].time + int(2e9 * parameters.command_timeout)
+    upcoming = iter(targets)
+    target = next(upcoming, None)
+    begin = time.perf_counter()
+    index = 0
+    while index * session.period <= end:
+        now = epoch + index * session.period
+        arrived = [("joint_states", encode.write(now, *arm.measure()))]
+        while target is not None and target.time <= index * session.period:
+            arrived.append((target.role, restamped(target.data, epoch + target.time)))
+            target = next(upcoming, None)
+        for role, data in arrived:
+            session.take(role, data, now)
+            if writer is not None:
+                writer.write(role, now, data)
+        step = session.cycle(now)
+        if step is not None:
+            arm.command(step.position)
+            _add_error(result.errors, step)
+            result.commands += 1
+        arm.advance(session.dt)
+        if writer is not None:
+            if step is not None:
+                command = encode.write(now + session.period, step.position, step.velocity)
+                writer.write("joint_commands", now, command)
+            writer.cycle(index, now, int(session.status.code), 0, 0, int(step is not None))
+            _wait_for(writer)
+        index += 1
+    result.cycles = index
+    result.elapsed = time.perf_counter() - begin
+    result.duration = index * session.dt
+    if writer is not None:
+        writer.close()
+    if session.rejected and not result.errors.count:
+        raise BagError(f"bag '{bag.path}': none of its targets could be used: {session.last_rejected}")
+    return result
+
+
+def _joints_as_poses(bag: BagReader, session: Session) -> tuple[list[TimedTarget], Array]:
+    """Return the tool poses of a bag's joint states, and the first joint positions. Raises BagError where there is none."""
+    topics = [topic.name for topic in bag.topics if topic.type_name == cdr.JOINT_STATE]
+    if not topics:
+        raise BagError(f"bag '{bag.path}' has neither targets nor joint states")
+    reader = cdr.JointStateReader(session.model.joint_names)
+    poses: list[TimedTarget] = []
+    start: Array | None = None
+    first = 0
+    for _, log_time, data, _ in bag.messages(topics[:1]):
+        q = reader.read(data)
+        if q is None:
+            continue
+        if start is None:
+            start, first = q.copy(), log_time
+        poses.append(TimedTarget(log_time - first, "target_pose", _pose_of(session, q)))
+    if start is None:
+        raise BagError(f"bag '{bag.path}': its joint states name none of {', '.join(session.model.joint_names)}")
+    return poses, start
+
+
+def _pose_of(session: Session, q: Array) -> bytes:
+    x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUAT(session.model.forward(q)).tolist()
+    point = cdr.message("geometry_msgs/msg/Point", x, y, z)
+    pose = cdr.message("geometry_msgs/msg/Pose", point, cdr.message("geometry_msgs/msg/Quaternion", qx, qy, qz, qw))
+    return cdr.encode(cdr.message(cdr.POSE, cdr.header(0, session.model.base_frame), pose))
+
+
+def describe_software(differences: Mapping[str, tuple[str, str]]) -> str:
+    """Return the versions that differ, as one line: "numpy 2.2.6 then, 2.4.6 now; …"."""
+    return "; ".join(f"{name} {then} then, {now} now" for name, (then, now) in differences.items())

@@ -1,0 +1,148 @@
+"""A run's bag: which topics it has, what describes the run, and the record of each cycle.
+
+What a replay needs, in the order in which it happened: the inputs as consumed (their log time is the cycle that took
+them), events (pause, parameters, the state at the start), the command, and a cycle record that closes each cycle. The
+model and the parameters are in the metadata record `ik_controller.run`; the model also as topic robot_description.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ik_controller.errors import BagError
+from ik_controller.messages import cdr
+from ik_controller.messages.inputs import INPUTS
+from ik_controller.parameters import ControllerParameters
+from ik_controller.recording.reader import BagReader
+from ik_controller.recording.rosbag2 import Qos
+from ik_controller.recording.writer import BagWriter, WriterStatus
+from ik_controller.session import Session
+
+METADATA = "ik_controller.run"
+
+# Role → message type of everything a run's bag may hold, inputs first.
+ROLES = {
+    **INPUTS,
+    "robot_description": cdr.STRING,
+    "joint_commands": cdr.JOINT_STATE,
+    "current_pose": cdr.POSE,
+    "tracking_error": cdr.TWIST,
+    "status": "diagnostic_msgs/msg/DiagnosticStatus",
+    "events": cdr.STRING,
+    "cycle": cdr.CYCLE,
+}
+
+_LIBRARIES = ("numpy", "pin", "daqp", "rosbags", "mcap")
+
+
+def default_topics(node: str = "/ik_controller") -> dict[str, str]:
+    """Return role → topic of a node without namespace and remapping."""
+    public = ("joint_states", "joint_commands", "robot_description")
+    return {role: f"/{role}" if role in public else f"{node}/{role}" for role in ROLES}
+
+
+def software() -> dict[str, str]:
+    """Return what may change a bit of the result: our version, Python, libraries, processor."""
+    versions = {"ik_controller": _version("ik_controller"), "python": platform.python_version()}
+    versions.update({name: _version(name) for name in _LIBRARIES})
+    versions["processor"] = _processor()
+    return versions
+
+
+def _version(name: str) -> str:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()
+
+
+class RunWriter:
+    """Records a session's run into a folder that must be new or empty; `write` and `cycle` never wait and never raise."""
+
+    def __init__(self, folder: Path, session: Session, topics: dict[str, str], compression: str = "zstd") -> None:
+        """Raises BagError where the folder cannot be written."""
+        self.writer = BagWriter(folder, compression=compression)
+        self.folder = folder
+        latched = Qos(durability="transient_local", depth=1)
+        self._channels = {
+            role: self.writer.channel(topics[role], kind, latched if role == "robot_description" else None)
+            for role, kind in ROLES.items()
+        }
+        self._cycle = self._channels["cycle"]
+        self.writer.metadata(
+            METADATA,
+            {
+                "parameters": json.dumps(session.parameters.as_mapping()),
+                "topics": json.dumps(topics),
+                "software": json.dumps(software()),
+                "cycle_fields": json.dumps(cdr.CYCLE_FIELDS),
+                "urdf": session.model.urdf_text,
+            },
+        )
+
+    def begin(self, session: Session, now: int) -> None:
+        """Write what a replay starts from: the model and the session's state."""
+        self.write("robot_description", now, cdr.encode(cdr.message(cdr.STRING, session.model.urdf_text)))
+        self.event(now, session.state())
+
+    def write(self, role: str, now: int, data: bytes) -> None:
+        """Record one message as bytes at `now` [ns]."""
+        self.writer.write(self._channels[role], now, data)
+
+    def event(self, now: int, event: str) -> None:
+        """Record an event, as given to `Session.apply`."""
+        self.write("events", now, cdr.encode(cdr.message(cdr.STRING, event)))
+
+    def cycle(self, index: int, now: int, code: int, late: int, work: int, published: int) -> None:
+        """Close a cycle; see `cdr.encode_cycle`."""
+        self.writer.write(self._cycle, now, cdr.encode_cycle(index, now, code, late, work, published))
+
+    def pending(self) -> int:
+        """Return how many messages wait to be written."""
+        return self.writer.status().waiting
+
+    def close(self) -> WriterStatus:
+        """Seal the bag."""
+        return self.writer.close()
+
+
+@dataclass(frozen=True)
+class RunInfo:
+    """What a bag says of its run: parameters, URDF text, role → topic, software versions."""
+
+    parameters: ControllerParameters
+    urdf: str
+    topics: dict[str, str]
+    software: dict[str, str]
+
+    @classmethod
+    def of(cls, bag: BagReader) -> RunInfo | None:
+        """Return what the bag holds, None for a bag that no node of ours wrote. Raises BagError if it is damaged."""
+        if METADATA not in bag.metadata_names():
+            return None
+        record = bag.metadata(METADATA)
+        try:
+            values: dict[str, Any] = json.loads(record["parameters"])
+            return cls(
+                parameters=ControllerParameters.from_mapping(values),
+                urdf=record["urdf"],
+                topics=json.loads(record["topics"]),
+                software=json.loads(record["software"]),
+            )
+        except (KeyError, ValueError) as error:
+            raise BagError(f"bag '{bag.path}': metadata '{METADATA}' is damaged: {error}") from None

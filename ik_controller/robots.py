@@ -1,0 +1,58 @@
+"""Robots: the model that parameters describe, and the parameters that come with a bundled robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ik_controller.errors import ParameterError
+from ik_controller.kinematics.model import RobotModel
+from ik_controller.kinematics.urdf import Urdf
+from ik_controller.parameters import ControllerParameters, yaml_values
+from ik_controller.share import robot_folder
+
+
+def bundled_parameters(name: str) -> ControllerParameters:
+    """Return the parameters of a bundled robot's own parameter file. Raises ModelError: unknown robot."""
+    return ControllerParameters.from_mapping(yaml_values(robot_folder(name) / "parameters.yaml"))
+
+
+def with_bundled(values: dict[str, object]) -> ControllerParameters:
+    """Return parameters of names and values; where they name a bundled robot, what they leave open is the robot's own."""
+    robot = values.get("robot", "")
+    base = bundled_parameters(robot) if isinstance(robot, str) and robot else ControllerParameters()
+    return base.replace(values)
+
+
+def urdf_text(parameters: ControllerParameters) -> str | None:
+    """Return the URDF that parameters name (bundled robot or file), None where they leave it to robot_description."""
+    if parameters.robot:
+        return Urdf.load(robot_folder(parameters.robot) / "robot.urdf").text
+    if parameters.urdf:
+        return Urdf.load(Path(parameters.urdf)).text
+    return None
+
+
+def build_model(parameters: ControllerParameters, urdf: str | None = None) -> RobotModel:
+    """Return the model with the parameters' frames, tool and limits; `urdf` text, or the one that parameters name.
+
+    Raises ModelError for what does not fit the URDF, ParameterError where no URDF or tip frame is named.
+    """
+    text = urdf if urdf is not None else urdf_text(parameters)
+    if text is None:
+        raise ParameterError("no robot: give the parameter robot or urdf")
+    if not parameters.tip_frame:
+        raise ParameterError("tip_frame is empty: give the link that carries the tool")
+    model = RobotModel.from_urdf(
+        text,
+        parameters.tip_frame,
+        parameters.base_frame or None,
+        locked_joints=dict(zip(parameters.locked_joint_names, parameters.locked_joint_values, strict=True)),
+        tool_offset=parameters.tool_offset or None,
+    )
+    model.set_limits(
+        lower=parameters.position_lower,
+        upper=parameters.position_upper,
+        velocity=parameters.velocity_limits,
+        acceleration=parameters.acceleration_limits,
+    )
+    return model

@@ -1,0 +1,59 @@
+"""Loop: cycles at absolute deadlines on the monotonic clock, with the ROS time that belongs to each.
+
+Deadlines and times are those of an even grid, so the commands of a run are dt apart to the nanosecond. A cycle that is
+late does not shift the next; after a longer hold-up the cycles that were due run one after the other. A process that was
+stopped for longer than `STALL` does not catch up: the grid goes on from now and `on_stall` is told.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+STALL = 100_000_000  # [ns]
+_CLOCK_STEP = 10_000_000  # [ns] of the system clock beyond which the grid's times follow it
+_CHECK = 1.0  # [s] between looks at the system clock
+
+
+class Loop:
+    """Runs `cycle(index, now, late)` every `period` [ns] until `stop` is set; `now` [ns] is system time on the grid."""
+
+    def __init__(
+        self, period: int, cycle: Callable[[int, int, int], None], on_stall: Callable[[int], None] | None = None
+    ) -> None:
+        self.period = period
+        self.stop = False
+        self.missed = 0  # cycles that began after the next one was due
+        self.stalls = 0
+        self._cycle = cycle
+        self._on_stall = on_stall
+
+    def run(self) -> None:
+        """Run until `stop`."""
+        period, cycle = self.period, self._cycle
+        monotonic, sleep = time.monotonic_ns, time.sleep
+        check_every = max(round(_CHECK * 1e9 / period), 1)
+        start = monotonic()
+        epoch = time.time_ns()
+        index = 0
+        while not self.stop:
+            due = start + index * period
+            wait = due - monotonic()
+            if wait > 0:
+                sleep(wait * 1e-9)
+            late = monotonic() - due
+            if late > period:
+                self.missed += 1
+                if late > STALL:
+                    skipped = late // period
+                    index += skipped
+                    self.stalls += 1
+                    if self._on_stall is not None:
+                        self._on_stall(skipped)
+                    continue
+            cycle(index, epoch + index * period, late)
+            index += 1
+            if index % check_every == 0:
+                step = time.time_ns() - monotonic() + start - epoch
+                if abs(step) > _CLOCK_STEP:
+                    epoch += step

@@ -1,0 +1,107 @@
+"""Monitor: what the node tells about itself, as messages: tool pose, tracking error, status, diagnostics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from ik_controller.control.status import Code
+from ik_controller.messages import cdr
+from ik_controller.recording.writer import WriterStatus
+from ik_controller.session import Session
+
+DIAGNOSTIC_STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
+DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
+
+_OK, _WARN, _ERROR = 0, 1, 2
+_WINDOW = 1000  # cycles that the period's percentiles are taken over
+
+
+class Timing:
+    """Start times of the last cycles, for the period's percentiles."""
+
+    def __init__(self, period: int) -> None:
+        self._starts = np.zeros(_WINDOW, dtype=np.int64)
+        self._period = period
+        self._count = 0
+
+    def add(self, start: int) -> None:
+        """Note when a cycle really started [ns]."""
+        self._starts[self._count % _WINDOW] = start
+        self._count += 1
+
+    def percentiles(self) -> tuple[float, float]:
+        """Return the median and the 99th percentile of the period [µs]."""
+        if self._count < 3:
+            return self._period * 1e-3, self._period * 1e-3
+        starts = np.sort(self._starts[: min(self._count, _WINDOW)])
+        median, high = np.percentile(np.diff(starts), (50, 99)) * 1e-3
+        return float(median), float(high)
+
+
+def pose_message(session: Session, now: int) -> bytes | None:
+    """Return ~/current_pose: the tool at the measured joints, None before the first joint state."""
+    q = session.measured
+    if q is None:
+        return None
+    x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUAT(session.model.forward(q)).tolist()
+    point = cdr.message("geometry_msgs/msg/Point", x, y, z)
+    orientation = cdr.message("geometry_msgs/msg/Quaternion", qx, qy, qz, qw)
+    pose = cdr.message("geometry_msgs/msg/Pose", point, orientation)
+    return cdr.encode(cdr.message(cdr.POSE, cdr.header(now, session.model.base_frame), pose))
+
+
+def error_message(session: Session, now: int, error: NDArray[np.float64]) -> bytes:
+    """Return ~/tracking_error: reference minus tool, position [m] and rotation vector [rad], in the base frame."""
+    linear = cdr.message("geometry_msgs/msg/Vector3", *error[:3].tolist())
+    angular = cdr.message("geometry_msgs/msg/Vector3", *error[3:].tolist())
+    twist = cdr.message("geometry_msgs/msg/Twist", linear, angular)
+    return cdr.encode(cdr.message(cdr.TWIST, cdr.header(now, session.model.base_frame), twist))
+
+
+def status(
+    session: Session, name: str, now: int, timing: Timing, missed: int, stalls: int, recorder: WriterStatus | None
+) -> Any:
+    """Return ~/status as a diagnostic_msgs/DiagnosticStatus: the sentence first, then every number behind it."""
+    state = session.status
+    names = session.model.joint_names
+    age = session.targets.age(now)
+    feedback = session.feedback_arrival
+    median, high = timing.percentiles()
+    rejected = sum(session.rejected.values())
+    sentence = state.sentence(names)
+    level = _OK
+    if state.code in (Code.WAITING, Code.PAUSED) or state.joint >= 0 or state.damped:
+        level = _WARN
+    if state.code in (Code.NO_FEEDBACK, Code.FAULT):
+        level = _ERROR
+    if state.code is Code.WAITING and session.last_rejected:
+        sentence += f"; {session.last_rejected}"
+    if recorder is not None and (recorder.lost or recorder.state == "interrupted"):
+        level = max(level, _WARN)
+        sentence += f"; recording {recorder.state}: {recorder.reason}, {recorder.lost} messages lost"
+    values = {
+        "state": state.code.name.lower(),
+        "limit": state.limit.value,
+        "joint": names[state.joint] if state.joint >= 0 else "",
+        "scale": f"{state.scale:.4f}",
+        "smallest_singular_value": f"{state.smallest_singular_value:.5f}",
+        "damped": str(state.damped).lower(),
+        "target_age_s": "never" if age is None else f"{age:.3f}",
+        "joint_state_age_s": "never" if feedback is None else f"{(now - feedback) * 1e-9:.3f}",
+        "rejected": str(rejected),
+        **{f"rejected_{role}": str(count) for role, count in sorted(session.rejected.items())},
+        "last_rejected": session.last_rejected,
+        "period_p50_us": f"{median:.1f}",
+        "period_p99_us": f"{high:.1f}",
+        "missed": str(missed),
+        "stalls": str(stalls),
+        "recorder": "off" if recorder is None else recorder.state,
+        "recorded_messages": "0" if recorder is None else str(recorder.messages),
+        "recorder_lost": "0" if recorder is None else str(recorder.lost),
+    }
+    pairs = [cdr.message("diagnostic_msgs/msg/KeyValue", key, value) for key, value in values.items()]
+    return cdr.message(DIAGNOSTIC_STATUS, level, name, sentence, session.model.robot_name, pairs)

@@ -1,0 +1,309 @@
+"""The node `ik_controller`: messages in, one session, commands out, all of it recorded.
+
+Three threads: the loop (here), an executor for parameters and services, and the recorder's writer. The executor's side
+only queues events; the loop applies them between two cycles, so that a run is one sequence that can be repeated.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from ik_controller.control.controller import Controller
+from ik_controller.errors import IkControllerError
+from ik_controller.messages import cdr
+from ik_controller.recording.rosbag2 import new_bag_folder
+from ik_controller.recording.run import RunWriter, default_topics
+from ik_controller.recording.writer import WriterStatus
+from ik_controller.robots import build_model, urdf_text
+from ik_controller.ros import monitor
+from ik_controller.ros.loop import Loop
+from ik_controller.ros.parameters import declare, on_change
+from ik_controller.ros.polling import PolledGroup, PolledSubscription
+from ik_controller.session import Session
+
+# Role → (message class, topic, queue depth, reliable). A trajectory comes once and must come; streams must not wait.
+_INPUTS = {
+    "joint_states": (JointState, "joint_states", 10, False),
+    "target_pose": (PoseStamped, "~/target_pose", 100, False),
+    "target_twist": (TwistStamped, "~/target_twist", 100, False),
+    "target_trajectory": (MultiDOFJointTrajectory, "~/target_trajectory", 10, True),
+    "target_joints": (JointState, "~/target_joints", 100, False),
+}
+_TAKEN_AT_ONCE = 200  # messages of one input a cycle, so that a flood cannot stop the loop
+_STOP_TIME = 5.0  # [s] that braking at shutdown may take
+
+
+class ControllerNode(Node):  # type: ignore[misc]
+    """One arm's controller. `run` is the loop; it returns after `request_stop`, with the arm at rest and the bag sealed."""
+
+    def __init__(self, **node_arguments: Any) -> None:
+        """Raises IkControllerError where parameters, URDF or frames do not fit."""
+        super().__init__("ik_controller", **node_arguments)
+        self.parameters = declare(self)
+        self._events: deque[str] = deque()
+        self._record_wish: bool | None = self.parameters.record
+        self._stop = False
+        self._loop: Loop | None = None
+        self._recorder: RunWriter | None = None
+        self._recorder_status: WriterStatus | None = None
+        self._urdf = urdf_text(self.parameters)
+        if self._urdf is None:
+            latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+            self.create_subscription(String, "robot_description", self._on_description, latched)
+            self.get_logger().info("waiting for the topic robot_description")
+
+    def _on_description(self, message: String) -> None:
+        self._urdf = message.data
+
+    def request_stop(self, *_: Any) -> None:
+        """Brake, seal the bag, end `run`; for signal handlers."""
+        self._stop = True
+
+    # -- setting up
+
+    def _connect(self) -> None:
+        """Build the session and everything that talks; needs the URDF."""
+        self.session = session = Session(build_model(self.parameters, self._urdf), self.parameters)
+        for assumption in session.model.assumptions:
+            self.get_logger().warning(assumption)
+        group = PolledGroup()
+        self._inputs = [
+            (role, PolledSubscription(self, group, kind, topic, depth, reliable))
+            for role, (kind, topic, depth, reliable) in _INPUTS.items()
+        ]
+        self._commands = self.create_publisher(JointState, "joint_commands", 10)
+        self._pose = self.create_publisher(PoseStamped, "~/current_pose", 10)
+        self._error = self.create_publisher(TwistStamped, "~/tracking_error", 10)
+        self._status = self.create_publisher(DiagnosticStatus, "~/status", 10)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self._topics = default_topics(self.get_fully_qualified_name())
+        self._topics.update({role: subscription.topic for role, subscription in self._inputs})
+        self._topics["joint_commands"] = self._commands.topic_name
+        self._topics["robot_description"] = self.resolve_topic_name("robot_description")
+        self._encode = cdr.JointStateWriter(session.model.joint_names).write
+
+        self._timing = monitor.Timing(session.period)
+        self._monitor_every = max(round(self.parameters.rate / self.parameters.monitor_rate), 1)
+        self._status_every = max(round(self.parameters.rate / self.parameters.status_rate), 1)
+        self._second = round(self.parameters.rate)
+        self._told: tuple[Any, ...] = ()
+
+        on_change(self, lambda: self.parameters, self._accept_parameters)
+        self.create_service(SetBool, "~/pause", self._serve_pause)
+        self.create_service(Trigger, "~/reset", self._serve_reset)
+        self.create_service(SetBool, "~/record", self._serve_record)
+
+    # -- the executor's side: it only queues
+
+    def _accept_parameters(self, values: dict[str, Any]) -> None:
+        changed = self.parameters.replace(values)
+        Controller(self.session.model, changed)  # refuses what does not fit the model
+        self.parameters = changed
+        self._events.append(json.dumps({"do": "parameters", "values": values}))
+
+    def _serve_pause(self, request: Any, response: Any) -> Any:
+        self._events.append(json.dumps({"do": "pause" if request.data else "resume"}))
+        response.success, response.message = True, "pausing" if request.data else "going on from the measured position"
+        return response
+
+    def _serve_reset(self, request: Any, response: Any) -> Any:
+        self._events.append(json.dumps({"do": "reset"}))
+        response.success, response.message = True, "starting again from the measured position"
+        return response
+
+    def _serve_record(self, request: Any, response: Any) -> Any:
+        self._record_wish = request.data
+        response.success, response.message = True, "recording" if request.data else "sealing the bag"
+        return response
+
+    # -- the loop's side
+
+    def run(self) -> None:
+        """Run until `request_stop`: wait for the robot description if need be, then cycle."""
+        executor = SingleThreadedExecutor(context=self.context)
+        executor.add_node(self)
+        while self._urdf is None and not self._stop:
+            executor.spin_once(timeout_sec=0.1)
+        if self._urdf is None:
+            return
+        self._connect()
+        serving = threading.Thread(target=_spin, args=(executor,), name="executor", daemon=True)
+        serving.start()
+        self._loop = loop = Loop(self.session.period, self._cycle, self._on_stall)
+        self.get_logger().info(
+            f"ready: {len(self.session.model.joint_names)} joints of '{self.session.model.robot_name}', "
+            f"'{self.session.model.base_frame}' to '{self.session.model.tip_frame}', {self.parameters.rate:g} Hz"
+        )
+        # The collector stops the world at moments of its own choosing: it runs once a second at the end of a cycle.
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        interval = sys.getswitchinterval()
+        sys.setswitchinterval(1e-4)  # the loop gets the interpreter back from the other threads within 0.1 ms
+        try:
+            loop.run()
+        finally:
+            sys.setswitchinterval(interval)
+            gc.enable()
+            self._close_recorder()
+            executor.shutdown()
+            serving.join(timeout=2.0)
+
+    def _cycle(self, index: int, now: int, late: int) -> None:
+        begin = time.monotonic_ns()
+        session, recorder = self.session, self._recorder
+        if self._record_wish is not None:
+            recorder = self._switch_recorder(now)
+        if self._stop:
+            self._brake(now)
+        while self._events:
+            self._apply(self._events.popleft(), now)
+        for role, subscription in self._inputs:
+            for _ in range(_TAKEN_AT_ONCE):
+                data = subscription.take()
+                if data is None:
+                    break
+                if recorder is not None:
+                    recorder.write(role, now, data)
+                if not session.take(role, data, now):
+                    self.get_logger().warning(f"rejected: {session.last_rejected}", throttle_duration_sec=1.0)
+        step = session.cycle(now)
+        if step is not None:
+            # The command is for the cycle's end: that is its stamp.
+            data = self._encode(now + session.period, step.position, step.velocity)
+            self._commands.publish(data)
+            if recorder is not None:
+                recorder.write("joint_commands", now, data)
+        work = time.monotonic_ns() - begin
+        if recorder is not None:
+            recorder.cycle(index, now, int(session.status.code), late, work, step is not None)
+        self._timing.add(now + late)
+        if index % self._monitor_every == 0:
+            self._tell_pose(now, None if step is None else step.error)
+        told = session.status.code, session.status.limit, session.status.joint
+        if index % self._status_every == 0 or (told != self._told and index % 10 == 0):
+            self._told = told
+            self._tell_status(now, index % self._second < self._status_every)
+        if index % self._second == self._second // 2:
+            gc.collect(1)
+        if self._stop and step is None and self._loop is not None:
+            self._loop.stop = True
+
+    def _apply(self, event: str, now: int) -> None:
+        try:
+            self.session.apply(event)
+        except IkControllerError as error:
+            self.get_logger().error(str(error))
+            return
+        if self._recorder is not None:
+            self._recorder.event(now, event)
+
+    def _brake(self, now: int) -> None:
+        """Shut down as a pause: the arm brakes within its limits, then the session has nothing more to command."""
+        if not self.session.paused:
+            self._apply(json.dumps({"do": "pause"}), now)
+            self._stop_by = now + int(_STOP_TIME * 1e9)
+        elif now > self._stop_by and self._loop is not None:
+            self._loop.stop = True
+
+    def _on_stall(self, skipped: int) -> None:
+        self.get_logger().error(
+            f"the process was held up for {skipped} cycles: starting again from the measured position"
+        )
+        self._events.append(json.dumps({"do": "reset"}))
+
+    # -- recording and telling
+
+    def _switch_recorder(self, now: int) -> RunWriter | None:
+        wish, self._record_wish = self._record_wish, None
+        if not wish:
+            self._close_recorder()
+        elif self._recorder is None:
+            try:
+                folder = new_bag_folder(Path(self.parameters.record_folder).expanduser())
+                self._recorder = RunWriter(folder, self.session, self._topics, self.parameters.record_compression)
+                self._recorder.begin(self.session, now)
+                self.get_logger().info(f"recording to {folder}")
+            except IkControllerError as error:
+                self.get_logger().error(f"not recording: {error}")
+        return self._recorder
+
+    def _close_recorder(self) -> None:
+        recorder, self._recorder = self._recorder, None
+        if recorder is not None:
+            self._recorder_status = recorder.close()
+            lost = f", {self._recorder_status.lost} lost" if self._recorder_status.lost else ""
+            self.get_logger().info(f"recorded {self._recorder_status.messages} messages to {recorder.folder}{lost}")
+
+    def _tell_pose(self, now: int, error: Any) -> None:
+        pose = monitor.pose_message(self.session, now)
+        messages = [] if pose is None else [("current_pose", self._pose, pose)]
+        if error is not None:
+            messages.append(("tracking_error", self._error, monitor.error_message(self.session, now, error)))
+        for role, publisher, data in messages:
+            publisher.publish(data)
+            if self._recorder is not None:
+                self._recorder.write(role, now, data)
+
+    def _tell_status(self, now: int, diagnostics: bool) -> None:
+        assert self._loop is not None
+        recorder = None if self._recorder is None else self._recorder.writer.status()
+        name = self.get_fully_qualified_name().lstrip("/")
+        content = monitor.status(self.session, name, now, self._timing, self._loop.missed, self._loop.stalls, recorder)
+        data = cdr.encode(content)
+        self._status.publish(data)
+        if self._recorder is not None:
+            self._recorder.write("status", now, data)
+        if diagnostics:
+            array = cdr.message(monitor.DIAGNOSTIC_ARRAY, cdr.header(now, ""), [content])
+            self._diagnostics.publish(cdr.encode(array))
+
+
+def _spin(executor: Any) -> None:
+    with contextlib.suppress(ExternalShutdownException):
+        executor.spin()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the node as a process: exit code 0 after SIGINT or SIGTERM, 2 for a mistake in its configuration."""
+    # rclpy's own handlers would shut the context down before the stop command can go out.
+    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    node: ControllerNode | None = None
+    try:
+        node = ControllerNode()
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, node.request_stop)
+        node.run()
+    except IkControllerError as error:
+        print(f"ik_controller_node: {error}", file=sys.stderr)
+        return 2
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

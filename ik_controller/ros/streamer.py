@@ -1,0 +1,79 @@
+"""The target streamer: sends the targets of a bag to the node at their own pace, stamped with the time of sending."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+import rclpy.duration
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from ik_controller.errors import IkControllerError
+from ik_controller.recording.target_bag import TimedTarget, restamped
+
+_KINDS = {
+    "target_pose": PoseStamped,
+    "target_twist": TwistStamped,
+    "target_trajectory": MultiDOFJointTrajectory,
+}
+
+
+def stream(
+    targets: list[TimedTarget],
+    node_name: str = "/ik_controller",
+    *,
+    loop: bool = False,
+    patience: float = 10.0,
+    progress: Callable[[float], None] | None = None,
+) -> int:
+    """Send targets until they end, or SIGINT or SIGTERM; return how many were sent.
+
+    Waits up to `patience` [s] for the node to listen; raises IkControllerError if it does not. `progress` is called with
+    the seconds sent so far.
+    """
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    node = Node("target_streamer")
+    stopped = False
+
+    def stop(*_: Any) -> None:
+        nonlocal stopped
+        stopped = True
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
+    try:
+        roles = sorted({target.role for target in targets})
+        publishers = {role: node.create_publisher(_KINDS[role], f"{node_name}/{role}", 100) for role in roles}
+        by = time.monotonic() + patience
+        while not stopped and any(p.get_subscription_count() == 0 for p in publishers.values()):
+            if time.monotonic() > by:
+                raise IkControllerError(f"nobody listens on {node_name}/{roles[0]}: is the node '{node_name}' running?")
+            time.sleep(0.02)
+        sent = 0
+        while not stopped:
+            start, epoch = time.monotonic_ns(), time.time_ns()
+            for target in targets:
+                wait = start + target.time - time.monotonic_ns()
+                if wait > 0:
+                    time.sleep(wait * 1e-9)
+                if stopped:
+                    break
+                publishers[target.role].publish(restamped(target.data, epoch + target.time))
+                sent += 1
+                if progress is not None:
+                    progress(target.time * 1e-9)
+            if not loop:
+                break
+        return sent
+    finally:
+        # What was sent last must leave before the process does.
+        for publisher in publishers.values():
+            publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=0.5))
+        node.destroy_node()
+        rclpy.try_shutdown()

@@ -1,0 +1,72 @@
+"""`ik_controller replay`: run a recorded run again, offline, and compare every command."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ik_controller.errors import ParameterError
+from ik_controller.verbs.common import add_json_argument, add_model_arguments, parameters_from, print_json, print_table
+
+HELP = "run a recorded run again, offline, and compare every command bit for bit"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    parser.add_argument("bag", help="bag folder or .mcap file")
+    parser.add_argument(
+        "--params", metavar="FILE", help="parameter file whose values replace the recorded ones (what if)"
+    )
+    parser.add_argument("--output", metavar="BAG", help="folder of a new bag with the replayed run")
+    parser.add_argument(
+        "--tolerance", type=float, default=0.0, metavar="T", help="largest difference that passes [rad or m] (0: bits)"
+    )
+    add_model_arguments(parser, default="panda")
+    add_json_argument(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Replay, print, and return 0 where all commands are identical or within the tolerance, else 1."""
+    from ik_controller.parameters import yaml_values
+    from ik_controller.recording.reader import open_bag
+    from ik_controller.recording.replay import describe_software, replay
+
+    if not arguments.tolerance >= 0.0:
+        raise ParameterError(f"--tolerance {arguments.tolerance}: need 0 or more")
+    changes = yaml_values(arguments.params) if arguments.params else {}
+    output = Path(arguments.output) if arguments.output else None
+    result = replay(open_bag(arguments.bag), changes=changes, robot=parameters_from(arguments), output=output)
+    if arguments.json:
+        print_json(result.as_mapping())
+    else:
+        rows = [("cycles", f"{result.cycles}"), ("commands", f"{result.commands}")]
+        if result.identical is not None:
+            rows.append(("verdict", verdict(result.identical, result.first_difference, result.max_difference)))
+        rows.append(("speed", f"{result.real_time_factor:.1f} × real time"))
+        rows += error_rows(result.errors.as_mapping())
+        print_table(rows)
+        if not result.complete:
+            print("The bag is cut off: this is what its whole chunks hold.")
+        if result.software and not result.identical:
+            print("Recorded with other software: " + describe_software(result.software))
+        if output is not None:
+            print(f"The replayed run is in {output}")
+    within = result.identical is not False or result.max_difference <= arguments.tolerance
+    return 0 if within or changes else 1
+
+
+def verdict(identical: bool, first_difference: int | None, max_difference: float) -> str:
+    """Return the verdict in words."""
+    if identical:
+        return "bit-identical"
+    return f"differs from cycle {first_difference}, at most by {max_difference:.3g}"
+
+
+def error_rows(errors: dict[str, float | None]) -> list[tuple[str, str]]:
+    """Return the table rows of the tracking errors."""
+    rows = []
+    for name, unit, factor, shown in (("position", "m", 1e6, "µm"), ("orientation", "rad", 1e6, "µrad")):
+        rms, largest = errors[f"{name}_rms_{unit}"], errors[f"{name}_max_{unit}"]
+        if rms is not None and largest is not None:
+            rows.append((f"{name} error", f"RMS {factor * rms:.3f} {shown}, max {factor * largest:.3f} {shown}"))
+    return rows

@@ -1,0 +1,41 @@
+"""`ik_controller stream`: send the targets of a bag to a running node."""
+
+from __future__ import annotations
+
+import argparse
+
+from ik_controller.verbs.common import Progress, add_json_argument, print_json
+
+HELP = "send the poses and twists of a bag to a running node, at their own pace"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    parser.add_argument("bag", help="bag with PoseStamped, TwistStamped or MultiDOFJointTrajectory messages")
+    parser.add_argument("--node", default="/ik_controller", metavar="NAME", help="the node to send to (/ik_controller)")
+    parser.add_argument("--topics", nargs="+", default=(), metavar="TOPIC", help="only these topics of the bag")
+    parser.add_argument("--duration", type=float, metavar="S", help="only the first seconds")
+    parser.add_argument("--loop", action="store_true", help="start again at the end, until Ctrl-C")
+    parser.add_argument("--patience", type=float, default=10.0, metavar="S", help="how long to wait for the node (10)")
+    add_json_argument(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Stream and print how much."""
+    from ik_controller.recording.target_bag import load_targets
+
+    targets = load_targets(arguments.bag, arguments.topics)
+    if arguments.duration is not None:
+        targets = [target for target in targets if target.time <= arguments.duration * 1e9]
+    from ik_controller.ros.streamer import stream
+
+    bar = Progress(targets[-1].time * 1e-9, "streaming")
+    sent = stream(
+        targets, "/" + arguments.node.strip("/"), loop=arguments.loop, patience=arguments.patience, progress=bar.show
+    )
+    bar.end()
+    if arguments.json:
+        print_json({"sent": sent})
+    else:
+        print(f"{sent} targets sent to {arguments.node}")
+    return 0
