@@ -87,10 +87,11 @@ class McapFile:
 
     `counts` (messages by channel id) is None unless the summary says it.
 
-    Raises BagError if there is no such file, it is empty or not MCAP.
+    Raises BagError if there is no such file, it is empty or not MCAP; and if its records make no sense, unless
+    `tolerant`, which takes in what it can.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, tolerant: bool = False) -> None:
         self.path = path
         self.profile = ""
         self.library = ""
@@ -103,23 +104,30 @@ class McapFile:
         try:
             with path.open("rb", buffering=_BUFFER) as file:
                 self.size = os.fstat(file.fileno()).st_size
-                self._open(file)
+                self._open(file, tolerant)
         except OSError as error:
             raise BagError(f"cannot read bag '{path}': {error.strerror}") from None
 
-    def _open(self, file: BinaryIO) -> None:
+    def _open(self, file: BinaryIO, tolerant: bool) -> None:
         magic = file.read(len(MAGIC))
         if not magic:
             raise BagError(f"bag '{self.path}' is empty")
         if not MAGIC.startswith(magic):
             raise BagError(f"'{self.path}' is not an MCAP file")
         try:
-            if not self._read_summary(file):
-                self._scan(file)
+            if self._read_summary(file):
+                return
         except DAMAGE as error:
-            raise BagError(
-                f"bag '{self.path}' is damaged ({error}); `ik_controller recover` reads what it can"
-            ) from None
+            self._damaged(error, tolerant)
+        try:
+            self._scan(file)
+        except DAMAGE as error:
+            self._damaged(error, tolerant)
+
+    def _damaged(self, error: Exception, tolerant: bool) -> None:
+        self.complete = False
+        if not tolerant:
+            raise BagError(f"bag '{self.path}' is damaged ({error}); try `ik_controller recover`") from None
 
     def records(self, file: BinaryIO, start: int = len(MAGIC)) -> Iterator[tuple[int, int, int]]:
         """Yield opcode, offset and length of the content of each whole top-level record; stop where the file is cut.
@@ -131,7 +139,8 @@ class McapFile:
             file.seek(position)
             head = file.read(9)
             opcode, length = _HEAD.unpack(head) if len(head) == 9 else (head[0] if head else 0, 0)
-            if len(head) < 9 or position + 9 + length > self.size:
+            # opcode 0 is none: blocks that a crash of the machine left unwritten read as zeros
+            if len(head) < 9 or opcode == 0 or position + 9 + length > self.size:
                 lossless = not head or opcode in _AFTER_MESSAGES
                 self.lost_bytes = 0 if lossless else self.size - position
                 return

@@ -68,10 +68,14 @@ class ChunkBuilder:
         self.start = 0
         self.end = 0
 
-    def add(self, channel_id: int, sequence: int, log_time: int, data: bytes | memoryview) -> None:
-        """Append a message; log time in ns. Raises struct.error, and changes nothing, if a number does not fit."""
+    def add(
+        self, channel_id: int, sequence: int, log_time: int, data: bytes | memoryview, publish_time: int | None = None
+    ) -> None:
+        """Append a message; times in ns. Raises struct.error, and changes nothing, if a number does not fit."""
         length = len(data)
-        head = MESSAGE_HEAD.pack(5, 22 + length, channel_id, sequence & 0xFFFFFFFF, log_time, log_time)
+        if publish_time is None:
+            publish_time = log_time
+        head = MESSAGE_HEAD.pack(5, 22 + length, channel_id, sequence & 0xFFFFFFFF, log_time, publish_time)
         if not self.count:
             self.start = self.end = log_time
         elif log_time > self.end:
