@@ -11,6 +11,7 @@ from collections import Counter
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from ik_controller.control.controller import Controller, Step
@@ -18,7 +19,14 @@ from ik_controller.control.status import Code, Status
 from ik_controller.control.targets import Targets
 from ik_controller.errors import IkControllerError, MessageError, choices
 from ik_controller.kinematics.model import RobotModel
-from ik_controller.messages.cdr import JOINT_STATE, JointStateReader, decode
+from ik_controller.messages.cdr import (
+    JOINT_STATE,
+    JointStateReader,
+    JointStateWriter,
+    decode,
+    pose_message,
+    twist_message,
+)
 from ik_controller.messages.inputs import Inputs
 from ik_controller.parameters import ControllerParameters
 
@@ -147,6 +155,32 @@ class Session:
             self._running = False
         self.status = step.status
         return step
+
+    def warm_up(self) -> None:
+        """Go once through every kind of cycle in a scratch session: what compiles or is worked out on first use is done
+        before the first deadline, and this session is left as it is.
+        """
+        model = self.model
+        scratch = Session(model, self.parameters)
+        q = np.clip(model.middle() + 0.1, model.lower, model.upper)
+        state = JointStateWriter(model.joint_names).write(0, q, np.zeros(model.n))
+        pose = model.forward(q)
+        far = pin.SE3(pose.rotation, pose.translation + 0.5)
+        targets = (
+            ("target_pose", pose_message(0, model.base_frame, pose)),
+            ("target_twist", twist_message(0, model.base_frame, np.full(6, 1e-3))),
+            ("target_pose", pose_message(0, model.base_frame, far)),
+            ("target_joints", state),
+        )
+        now = 1
+        for role, data in targets:
+            scratch.take("joint_states", state, now)
+            scratch.take(role, data, now)
+            for _ in range(3):
+                scratch.cycle(now)
+                now += self.period
+        scratch.apply('{"do": "pause"}')
+        scratch.cycle(now)
 
     # -- the state, for a recording that starts in the middle of a run
 

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from ik_controller.errors import ModelError, choices
+from ik_controller.errors import BagError, ModelError, choices
 
 NAME = "ik_controller"
 
@@ -49,3 +49,12 @@ def _candidates() -> Iterator[Path]:
     yield Path(sys.prefix) / below
     for entry in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
         yield Path(entry) / below
+
+
+def bag_folder(name: str) -> Path:
+    """Return the folder of a bundled bag. Raises BagError: unknown bag."""
+    folder = share_folder() / "bags"
+    if not (folder / name / "metadata.yaml").is_file():
+        names = sorted(path.parent.name for path in folder.glob("*/metadata.yaml"))
+        raise BagError(f"unknown bag '{name}'; there are: {choices(names)}")
+    return folder / name

@@ -68,17 +68,11 @@ def targets(start: pin.SE3, frame: str) -> list[TimedTarget]:
         t = index / RATE
         time = round(t * 1e9)
         pose, twist = figure_eight(start, t)
-        x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUAT(pose).tolist()
-        header = cdr.header(START + time, frame)
-        point = cdr.message("geometry_msgs/msg/Point", x, y, z)
-        orientation = cdr.message("geometry_msgs/msg/Quaternion", qx, qy, qz, qw)
-        linear = cdr.message("geometry_msgs/msg/Vector3", *twist[:3].tolist())
-        angular = cdr.message("geometry_msgs/msg/Vector3", *twist[3:].tolist())
         messages = {
-            "target_pose": cdr.message(cdr.POSE, header, cdr.message("geometry_msgs/msg/Pose", point, orientation)),
-            "target_twist": cdr.message(cdr.TWIST, header, cdr.message("geometry_msgs/msg/Twist", linear, angular)),
+            "target_pose": cdr.pose_message(START + time, frame, pose),
+            "target_twist": cdr.twist_message(START + time, frame, twist),
         }
-        result += [TimedTarget(time, role, cdr.encode(message)) for role, message in messages.items()]
+        result += [TimedTarget(time, role, data) for role, data in messages.items()]
     return result
 
 

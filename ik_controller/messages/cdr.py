@@ -10,6 +10,7 @@ import struct
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 from rosbags.typesys import Stores, get_typestore
 
@@ -51,6 +52,21 @@ def header(stamp: int, frame: str) -> Any:
     """Make a std_msgs/Header of a stamp [ns] and a frame."""
     seconds, nanoseconds = divmod(stamp, _SECOND)
     return message("std_msgs/msg/Header", message("builtin_interfaces/msg/Time", seconds, nanoseconds), frame)
+
+
+def pose_message(stamp: int, frame: str, pose: Any) -> bytes:
+    """Return a PoseStamped of a `pin.SE3` as bytes."""
+    x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUAT(pose).tolist()
+    point = message("geometry_msgs/msg/Point", x, y, z)
+    orientation = message("geometry_msgs/msg/Quaternion", qx, qy, qz, qw)
+    return encode(message(POSE, header(stamp, frame), message("geometry_msgs/msg/Pose", point, orientation)))
+
+
+def twist_message(stamp: int, frame: str, twist: Array) -> bytes:
+    """Return a TwistStamped of a twist (6,) (v, ω) as bytes."""
+    linear = message("geometry_msgs/msg/Vector3", *twist[:3].tolist())
+    angular = message("geometry_msgs/msg/Vector3", *twist[3:].tolist())
+    return encode(message(TWIST, header(stamp, frame), message("geometry_msgs/msg/Twist", linear, angular)))
 
 
 def stamp_of(stamped: Any) -> int:

@@ -7,13 +7,12 @@ joint states alone) is run against the ideal arm at the configured rate instead;
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from ik_controller.control.controller import Step
@@ -54,6 +53,8 @@ class Replay:
     software: dict[str, tuple[str, str]] = field(default_factory=dict)
     errors: ErrorStatistics = field(default_factory=ErrorStatistics)
     missed: int = 0
+    rejected: int = 0
+    last_rejected: str = ""
     complete: bool = True
 
     @property
@@ -72,6 +73,8 @@ class Replay:
             **self.errors.as_mapping(),
             "cycles": self.cycles,
             "complete": self.complete,
+            "rejected": self.rejected,
+            "last_rejected": self.last_rejected,
             "software": {name: {"then": then, "now": now} for name, (then, now) in self.software.items()},
         }
 
@@ -132,11 +135,12 @@ def replay(
     changes: Mapping[str, Any] | None = None,
     robot: ControllerParameters | None = None,
     output: Path | None = None,
+    watch: Callable[[Iterator[Cycle], Session], Iterator[Cycle]] | None = None,
 ) -> Replay:
     """Replay a bag and compare; see the module.
 
     `changes`: parameters to change, for a what-if run. `robot`: the parameters for a bag that holds no run of ours.
-    `output`: folder of a new bag with the replayed run. Raises BagError, ParameterError, ModelError.
+    `output`: folder of a new bag with the replayed run. `watch` sees the cycles of a run of ours pass. Raises BagError, ParameterError, ModelError.
     """
     changed = dict(changes or {})
     if RunInfo.of(bag) is None:
@@ -156,8 +160,10 @@ def replay(
         writer = RunWriter(output, session, info.topics, session.parameters.record_compression)
     encode = cdr.JointStateWriter(session.model.joint_names)
     first = last = 0
+    session.warm_up()
     begin = time.perf_counter()
-    for cycle in cycles(bag, session, info, changed, writer):
+    passing = cycles(bag, session, info, changed, writer)
+    for cycle in passing if watch is None else watch(passing, session):
         step = cycle.step
         first, last = first or cycle.time, cycle.time
         result.cycles += 1
@@ -179,6 +185,7 @@ def replay(
             _wait_for(writer)
     result.elapsed = time.perf_counter() - begin
     result.duration = (last - first) * 1e-9
+    result.rejected, result.last_rejected = sum(session.rejected.values()), session.last_rejected
     if writer is not None:
         writer.close()
     return result
@@ -232,6 +239,7 @@ def _run_foreign(bag: BagReader, parameters: ControllerParameters, output: Path 
     end = targets[-1].time + int(2e9 * parameters.command_timeout)
     upcoming = iter(targets)
     target = next(upcoming, None)
+    session.warm_up()
     begin = time.perf_counter()
     index = 0
     while index * session.period <= end:
@@ -282,17 +290,11 @@ def _joints_as_poses(bag: BagReader, session: Session) -> tuple[list[TimedTarget
             continue
         if start is None:
             start, first = q.copy(), log_time
-        poses.append(TimedTarget(log_time - first, "target_pose", _pose_of(session, q)))
+        pose = cdr.pose_message(0, session.model.base_frame, session.model.forward(q))
+        poses.append(TimedTarget(log_time - first, "target_pose", pose))
     if start is None:
         raise BagError(f"bag '{bag.path}': its joint states name none of {', '.join(session.model.joint_names)}")
     return poses, start
-
-
-def _pose_of(session: Session, q: Array) -> bytes:
-    x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUAT(session.model.forward(q)).tolist()
-    point = cdr.message("geometry_msgs/msg/Point", x, y, z)
-    pose = cdr.message("geometry_msgs/msg/Pose", point, cdr.message("geometry_msgs/msg/Quaternion", qx, qy, qz, qw))
-    return cdr.encode(cdr.message(cdr.POSE, cdr.header(0, session.model.base_frame), pose))
 
 
 def describe_software(differences: Mapping[str, tuple[str, str]]) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from ik_controller.control.status import Code
@@ -47,19 +46,12 @@ def pose_message(session: Session, now: int) -> bytes | None:
     q = session.measured
     if q is None:
         return None
-    x, y, z, qx, qy, qz, qw = pin.SE3ToXYZQUAT(session.model.forward(q)).tolist()
-    point = cdr.message("geometry_msgs/msg/Point", x, y, z)
-    orientation = cdr.message("geometry_msgs/msg/Quaternion", qx, qy, qz, qw)
-    pose = cdr.message("geometry_msgs/msg/Pose", point, orientation)
-    return cdr.encode(cdr.message(cdr.POSE, cdr.header(now, session.model.base_frame), pose))
+    return cdr.pose_message(now, session.model.base_frame, session.model.forward(q))
 
 
 def error_message(session: Session, now: int, error: NDArray[np.float64]) -> bytes:
     """Return ~/tracking_error: reference minus tool, position [m] and rotation vector [rad], in the base frame."""
-    linear = cdr.message("geometry_msgs/msg/Vector3", *error[:3].tolist())
-    angular = cdr.message("geometry_msgs/msg/Vector3", *error[3:].tolist())
-    twist = cdr.message("geometry_msgs/msg/Twist", linear, angular)
-    return cdr.encode(cdr.message(cdr.TWIST, cdr.header(now, session.model.base_frame), twist))
+    return cdr.twist_message(now, session.model.base_frame, error)
 
 
 def status(

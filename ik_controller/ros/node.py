@@ -34,7 +34,6 @@ from ik_controller.errors import IkControllerError
 from ik_controller.messages import cdr
 from ik_controller.recording.rosbag2 import new_bag_folder
 from ik_controller.recording.run import RunWriter, default_topics
-from ik_controller.recording.writer import WriterStatus
 from ik_controller.robots import build_model, urdf_text
 from ik_controller.ros import monitor
 from ik_controller.ros.loop import Loop
@@ -62,11 +61,10 @@ class ControllerNode(Node):  # type: ignore[misc]
         super().__init__("ik_controller", **node_arguments)
         self.parameters = declare(self)
         self._events: deque[str] = deque()
-        self._record_wish: bool | None = self.parameters.record
+        self._recorder_change: deque[RunWriter | None] = deque()
         self._stop = False
         self._loop: Loop | None = None
         self._recorder: RunWriter | None = None
-        self._recorder_status: WriterStatus | None = None
         self._urdf = urdf_text(self.parameters)
         if self._urdf is None:
             latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -83,8 +81,9 @@ class ControllerNode(Node):  # type: ignore[misc]
     # -- setting up
 
     def _connect(self) -> None:
-        """Build the session and everything that talks; needs the URDF."""
+        """Build the session and everything that talks; needs the URDF. Talks last: who hears us finds us ready."""
         self.session = session = Session(build_model(self.parameters, self._urdf), self.parameters)
+        session.warm_up()
         for assumption in session.model.assumptions:
             self.get_logger().warning(assumption)
         group = PolledGroup()
@@ -133,9 +132,32 @@ class ControllerNode(Node):  # type: ignore[misc]
         return response
 
     def _serve_record(self, request: Any, response: Any) -> Any:
-        self._record_wish = request.data
-        response.success, response.message = True, "recording" if request.data else "sealing the bag"
+        response.success = True
+        if not request.data:
+            self._recorder_change.append(None)
+            response.message = "sealing the bag"
+        elif self._recorder is not None:
+            response.message = f"already recording to {self._recorder.folder}"
+        else:
+            response.success, response.message = self._start_recorder()
         return response
+
+    def _start_recorder(self) -> tuple[bool, str]:
+        """Make a bag, which takes longer than a cycle, and hand it to the loop; return (success, message)."""
+        try:
+            folder = new_bag_folder(Path(self.parameters.record_folder).expanduser())
+            recorder = RunWriter(folder, self.session, self._topics, self.parameters.record_compression)
+        except IkControllerError as error:
+            self.get_logger().error(f"not recording: {error}")
+            return False, str(error)
+        self._recorder_change.append(recorder)
+        self.get_logger().info(f"recording to {folder}")
+        return True, f"recording to {folder}"
+
+    def _seal(self, recorder: RunWriter) -> None:
+        status = recorder.close()
+        lost = f", {status.lost} lost" if status.lost else ""
+        self.get_logger().info(f"recorded {status.messages} messages to {recorder.folder}{lost}")
 
     # -- the loop's side
 
@@ -148,6 +170,8 @@ class ControllerNode(Node):  # type: ignore[misc]
         if self._urdf is None:
             return
         self._connect()
+        if self.parameters.record:
+            self._start_recorder()
         serving = threading.Thread(target=_spin, args=(executor,), name="executor", daemon=True)
         serving.start()
         self._loop = loop = Loop(self.session.period, self._cycle, self._on_stall)
@@ -166,14 +190,15 @@ class ControllerNode(Node):  # type: ignore[misc]
         finally:
             sys.setswitchinterval(interval)
             gc.enable()
-            self._close_recorder()
+            if self._recorder is not None:
+                self._seal(self._recorder)
             executor.shutdown()
             serving.join(timeout=2.0)
 
     def _cycle(self, index: int, now: int, late: int) -> None:
         begin = time.monotonic_ns()
         session, recorder = self.session, self._recorder
-        if self._record_wish is not None:
+        if self._recorder_change:
             recorder = self._switch_recorder(now)
         if self._stop:
             self._brake(now)
@@ -236,25 +261,14 @@ class ControllerNode(Node):  # type: ignore[misc]
     # -- recording and telling
 
     def _switch_recorder(self, now: int) -> RunWriter | None:
-        wish, self._record_wish = self._record_wish, None
-        if not wish:
-            self._close_recorder()
-        elif self._recorder is None:
-            try:
-                folder = new_bag_folder(Path(self.parameters.record_folder).expanduser())
-                self._recorder = RunWriter(folder, self.session, self._topics, self.parameters.record_compression)
-                self._recorder.begin(self.session, now)
-                self.get_logger().info(f"recording to {folder}")
-            except IkControllerError as error:
-                self.get_logger().error(f"not recording: {error}")
+        """Take up or drop a bag; it is sealed beside the loop."""
+        dropped, self._recorder = self._recorder, self._recorder_change.popleft()
+        if dropped is not None:
+            self._sealing = threading.Thread(target=self._seal, args=(dropped,), name="seal")
+            self._sealing.start()
+        if self._recorder is not None:
+            self._recorder.begin(self.session, now)
         return self._recorder
-
-    def _close_recorder(self) -> None:
-        recorder, self._recorder = self._recorder, None
-        if recorder is not None:
-            self._recorder_status = recorder.close()
-            lost = f", {self._recorder_status.lost} lost" if self._recorder_status.lost else ""
-            self.get_logger().info(f"recorded {self._recorder_status.messages} messages to {recorder.folder}{lost}")
 
     def _tell_pose(self, now: int, error: Any) -> None:
         pose = monitor.pose_message(self.session, now)

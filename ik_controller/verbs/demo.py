@@ -1,0 +1,189 @@
+"""`ik_controller demo`: the main job as three processes over DDS, then its replay, a table and a picture."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from ik_controller.errors import BagError, IkControllerError
+from ik_controller.verbs.common import (
+    Progress,
+    add_json_argument,
+    add_model_arguments,
+    parameters_from,
+    print_json,
+    print_table,
+)
+from ik_controller.verbs.replay import error_rows, verdict
+
+HELP = "stream recorded targets to a simulated arm over ROS 2, record, replay, and show the result"
+
+_SETTLE = 0.5  # [s] from the last target to the end, in which the arm comes to rest
+_PATIENCE = 30.0  # [s] for a process to start or end
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    add_model_arguments(parser, default="panda")
+    parser.add_argument("--targets", metavar="BAG", help="bag of poses to stream (a figure-eight for the robot)")
+    parser.add_argument("--duration", type=float, metavar="S", help="only the first seconds of the targets")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="control cycles a second (the robot's parameter)")
+    parser.add_argument("--output", default="runs", metavar="FOLDER", help="folder for bag and picture (runs)")
+    add_json_argument(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the demo; 0 where the replay is bit-identical, else 1."""
+    from ik_controller.recording.target_bag import load_targets
+    from ik_controller.share import bag_folder
+
+    values = {} if arguments.rate is None else {"rate": arguments.rate}
+    parameters = parameters_from(arguments, values)
+    if arguments.targets is None and not parameters.robot:
+        raise BagError("no targets for this robot: give --targets BAG")
+    targets_bag = Path(arguments.targets) if arguments.targets else bag_folder(f"{parameters.robot}_figure_eight")
+    targets = load_targets(targets_bag)
+    length = targets[-1].time * 1e-9
+    if arguments.duration is not None:
+        if not arguments.duration > 0.0:
+            raise BagError(f"--duration {arguments.duration:g}: need a positive time")
+        length = min(length, arguments.duration)
+    output = Path(arguments.output)
+    output.mkdir(parents=True, exist_ok=True)
+    bag = _run_processes(arguments, targets_bag, length, output)
+    result = _replayed(bag, output / "report.png")
+    if arguments.json:
+        print_json(result)
+    else:
+        _show(result)
+    return 0 if result["replay"]["identical"] else 1
+
+
+def _run_processes(arguments: argparse.Namespace, targets: Path, length: float, output: Path) -> Path:
+    """Run simulated arm, node and streamer until the targets end; return the run's bag."""
+    environment = dict(os.environ)
+    # Alone on this host, unless the user says otherwise: a demo must not move a real arm in the same network.
+    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    environment.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 100)))
+    environment.setdefault("RCUTILS_LOGGING_USE_STDOUT", "0")
+    before = set(output.iterdir())
+    log = output / "demo.log"
+    robot = [
+        part
+        for name in ("robot", "urdf", "tip", "base")
+        if (value := getattr(arguments, name))
+        for part in (f"--{name}", str(value))
+    ]
+    given = {
+        "robot": arguments.robot or ("" if arguments.urdf else arguments.default_robot),
+        "urdf": arguments.urdf,
+        "tip_frame": arguments.tip,
+        "base_frame": arguments.base,
+        "rate": None if arguments.rate is None else float(arguments.rate),
+        "record_folder": str(output),
+    }
+    settings = [part for name, value in given.items() if value for part in ("-p", f"{name}:={value}")]
+    verb = [sys.executable, "-m", "ik_controller.cli"]
+    stream = [*verb, "stream", str(targets), "--duration", f"{length}", "--patience", f"{_PATIENCE:g}", "--json"]
+    commands = {
+        "sim": [*verb, "sim", *robot],
+        "node": [sys.executable, "-m", "ik_controller.ros.node", "--ros-args", *settings],
+        "stream": stream,
+    }
+    processes: dict[str, subprocess.Popen[bytes]] = {}
+    with log.open("wb") as sink:
+        try:
+            for name, command in commands.items():
+                processes[name] = subprocess.Popen(
+                    command, stdout=sink, stderr=sink, stdin=subprocess.DEVNULL, env=environment
+                )
+            _wait_for_stream(processes, length, log)
+            time.sleep(_SETTLE)
+            for name in ("node", "sim"):
+                processes[name].send_signal(signal.SIGINT)
+                if processes[name].wait(_PATIENCE) != 0:
+                    raise IkControllerError(f"the {name} process failed: {_last_line(log)} (all of it: {log})")
+        finally:
+            for process in processes.values():
+                if process.poll() is None:
+                    process.kill()
+                    process.wait()
+    new = [folder for folder in set(output.iterdir()) - before if folder.is_dir()]
+    if len(new) != 1:
+        raise IkControllerError(f"the node recorded {len(new)} bags, expected one; see {log}")
+    return new[0]
+
+
+def _wait_for_stream(processes: dict[str, subprocess.Popen[bytes]], length: float, log: Path) -> None:
+    bar = Progress(length, "streaming")
+    start = time.monotonic()
+    while processes["stream"].poll() is None:
+        for name in ("sim", "node"):
+            if processes[name].poll() is not None:
+                raise IkControllerError(f"the {name} process ended early: {_last_line(log)} (all of it: {log})")
+        elapsed = time.monotonic() - start
+        if elapsed > length + 2.0 * _PATIENCE:
+            raise IkControllerError(f"the targets have not been sent after {elapsed:.0f} s; see {log}")
+        bar.show(elapsed)
+        time.sleep(0.1)
+    bar.end()
+    if processes["stream"].returncode != 0:
+        raise IkControllerError(f"the stream process failed: {_last_line(log)} (all of it: {log})")
+
+
+def _last_line(log: Path) -> str:
+    lines = [line.strip() for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+    return lines[-1] if lines else "it said nothing"
+
+
+def _replayed(bag: Path, picture: Path) -> dict[str, Any]:
+    from ik_controller.recording.reader import open_bag
+    from ik_controller.recording.replay import replay
+    from ik_controller.recording.timeline import Timeline, draw
+
+    replayed = replay(open_bag(bag))  # timed, without anybody watching
+    timeline = Timeline()
+    replay(open_bag(bag), watch=timeline.watch)
+    median, high = timeline.period_percentiles()
+    errors = replayed.errors.as_mapping()
+    rms = errors["position_rms_m"]
+    title = f"{bag.name}: position error {1e6 * rms:.2f} µm RMS" if rms is not None else bag.name
+    draw(timeline, picture, title)
+    return {
+        "bag": str(bag),
+        "picture": str(picture),
+        "cycles": replayed.cycles,
+        "period_p50_us": median,
+        "period_p99_us": high,
+        "missed": replayed.missed,
+        **errors,
+        "rejected": replayed.rejected,
+        "last_rejected": replayed.last_rejected,
+        "replay": replayed.as_mapping(),
+    }
+
+
+def _show(result: dict[str, Any]) -> None:
+    again = result["replay"]
+    rows = [
+        ("cycles", f"{result['cycles']}"),
+        ("period", f"p50 {result['period_p50_us']:.1f} µs, p99 {result['period_p99_us']:.1f} µs"),
+        ("missed deadlines", f"{result['missed']}"),
+        *error_rows(result),
+        ("replay", verdict(again["identical"], again["first_difference"], again["max_difference"])),
+        ("replay speed", f"{again['real_time_factor']:.1f} × real time"),
+    ]
+    if result["rejected"]:
+        rows.append(("rejected", f"{result['rejected']}"))
+    print_table(rows)
+    if result["rejected"]:
+        print(f"last rejected: {result['last_rejected']}")
+    print(f"bag      {result['bag']}")
+    print(f"picture  {result['picture']}")
