@@ -85,24 +85,38 @@ class BagReader:
 
 
 def open_bag(path: Path | str) -> BagReader:
-    """Open a bag: a rosbag2 folder, or an .mcap file.
+    """Open a bag: a rosbag2 folder (MCAP or sqlite3), an .mcap or .db3 file, or a ROS 1 .bag file.
 
-    Raises BagError if it is missing, empty or not MCAP.
+    Raises BagError if it is missing, empty or none of these.
     """
     path = Path(path)
     if not path.exists():
         raise BagError(f"there is no bag '{path}'")
     if not path.is_dir():
-        _reject_foreign(path)
-        return BagReader(path, [McapFile(path)])
+        return _foreign(path) if _is_foreign(path) else BagReader(path, [McapFile(path)])
     paths = segment_paths(path)
     if not paths:
         for other in sorted(path.iterdir()):
-            _reject_foreign(other)
-        raise BagError(f"bag '{path}' is empty: there is no .mcap file in it")
+            if other.is_file() and _is_foreign(other):
+                return _foreign(path if (path / "metadata.yaml").exists() else other)
+        raise BagError(f"bag '{path}' is empty: there is no .mcap or .db3 file in it")
     # A recorder killed while it opened a segment leaves an empty file behind.
     filled = [file for file in paths if file.stat().st_size]
     return BagReader(path, [McapFile(file) for file in filled or paths])
+
+
+def _is_foreign(path: Path) -> bool:
+    try:
+        with path.open("rb") as file:
+            return file.read(16).startswith((b"SQLite format 3", b"#ROSBAG V"))
+    except OSError as error:
+        raise BagError(f"cannot read bag '{path}': {error.strerror}") from None
+
+
+def _foreign(path: Path) -> BagReader:
+    from ik_controller.recording.foreign import ForeignBag
+
+    return ForeignBag(path)
 
 
 def segment_paths(folder: Path) -> list[Path]:
@@ -185,13 +199,3 @@ def _topics(files: list[McapFile]) -> list[Topic]:
         )
         for (name, type_name), (channel, schema, count) in merged.items()
     ]
-
-
-def _reject_foreign(path: Path) -> None:
-    """Name the formats that look like a bag and are not MCAP."""
-    with path.open("rb") as file:
-        head = file.read(16)
-    kind = "sqlite3" if head.startswith(b"SQLite format 3") else "ROS 1" if head.startswith(b"#ROSBAG V") else None
-    if kind is not None:
-        convert = "rosbags-convert --dst-storage mcap --src … --dst …"
-        raise BagError(f"'{path}' is a {kind} bag, not MCAP; convert it with `{convert}`")

@@ -82,7 +82,8 @@ def _sources(path: Path) -> list[McapFile]:
         return [McapFile(path, tolerant=True)]
     paths = segment_paths(path)
     if not paths:
-        open_bag(path)  # raises and says what is there instead
+        open_bag(path)  # raises if there is no bag of any kind
+        raise BagError(f"bag '{path}' has no .mcap file; only MCAP can be recovered")
     return [McapFile(file, tolerant=True) for file in paths if file.stat().st_size]
 
 

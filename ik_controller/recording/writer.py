@@ -154,7 +154,7 @@ class BagWriter:
             return channel
 
     def write(self, channel: Channel, log_time_ns: int, data: bytes | memoryview) -> None:
-        """Queue one message, serialized as CDR. Never waits, never raises; a full queue loses and counts it."""
+        """Queue one message as CDR; its bytes must not change any more. Never waits, never raises; see the module."""
         channel.sequence += 1
         if self._bytes_in - self._bytes_out > self._limit and not self._wait_for_room():
             self._refused += 1
