@@ -81,25 +81,21 @@ class ControllerNode(Node):  # type: ignore[misc]
     # -- setting up
 
     def _connect(self) -> None:
-        """Build the session and everything that talks; needs the URDF. Talks last: who hears us finds us ready."""
+        """Build the session and everything that talks; needs the URDF."""
         self.session = session = Session(build_model(self.parameters, self._urdf), self.parameters)
         session.warm_up()
         for assumption in session.model.assumptions:
             self.get_logger().warning(assumption)
-        group = PolledGroup()
-        self._inputs = [
-            (role, PolledSubscription(self, group, kind, topic, depth, reliable))
-            for role, (kind, topic, depth, reliable) in _INPUTS.items()
-        ]
         self._commands = self.create_publisher(JointState, "joint_commands", 10)
         self._pose = self.create_publisher(PoseStamped, "~/current_pose", 10)
         self._error = self.create_publisher(TwistStamped, "~/tracking_error", 10)
         self._status = self.create_publisher(DiagnosticStatus, "~/status", 10)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self._topics = default_topics(self.get_fully_qualified_name())
-        self._topics.update({role: subscription.topic for role, subscription in self._inputs})
-        self._topics["joint_commands"] = self._commands.topic_name
-        self._topics["robot_description"] = self.resolve_topic_name("robot_description")
+        for role, (_, topic, _, _) in _INPUTS.items():
+            self._topics[role] = self.resolve_topic_name(topic)
+        for topic in ("joint_commands", "robot_description"):
+            self._topics[topic] = self.resolve_topic_name(topic)
         self._encode = cdr.JointStateWriter(session.model.joint_names).write
 
         self._timing = monitor.Timing(session.period)
@@ -112,6 +108,14 @@ class ControllerNode(Node):  # type: ignore[misc]
         self.create_service(SetBool, "~/pause", self._serve_pause)
         self.create_service(Trigger, "~/reset", self._serve_reset)
         self.create_service(SetBool, "~/record", self._serve_record)
+
+    def _listen(self) -> None:
+        """Subscribe, as the last thing before the loop: who finds us listening is served at once."""
+        group = PolledGroup()
+        self._inputs = [
+            (role, PolledSubscription(self, group, kind, topic, depth, reliable))
+            for role, (kind, topic, depth, reliable) in _INPUTS.items()
+        ]
 
     # -- the executor's side: it only queues
 
@@ -175,14 +179,15 @@ class ControllerNode(Node):  # type: ignore[misc]
         serving = threading.Thread(target=_spin, args=(executor,), name="executor", daemon=True)
         serving.start()
         self._loop = loop = Loop(self.session.period, self._cycle, self._on_stall)
-        self.get_logger().info(
-            f"ready: {len(self.session.model.joint_names)} joints of '{self.session.model.robot_name}', "
-            f"'{self.session.model.base_frame}' to '{self.session.model.tip_frame}', {self.parameters.rate:g} Hz"
-        )
         # The collector stops the world at moments of its own choosing: it runs once a second at the end of a cycle.
         gc.collect()
         gc.freeze()
         gc.disable()
+        self._listen()
+        self.get_logger().info(
+            f"ready: {len(self.session.model.joint_names)} joints of '{self.session.model.robot_name}', "
+            f"'{self.session.model.base_frame}' to '{self.session.model.tip_frame}', {self.parameters.rate:g} Hz"
+        )
         interval = sys.getswitchinterval()
         sys.setswitchinterval(1e-4)  # the loop gets the interpreter back from the other threads within 0.1 ms
         try:

@@ -16,6 +16,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from ik_controller.errors import IkControllerError
 from ik_controller.recording.target_bag import TimedTarget, restamped
+from ik_controller.ros.polling import PolledGroup, PolledSubscription
 
 _KINDS = {
     "target_pose": PoseStamped,
@@ -34,8 +35,8 @@ def stream(
 ) -> int:
     """Send targets until they end, or SIGINT or SIGTERM; return how many were sent.
 
-    Waits up to `patience` [s] for the node to listen; raises IkControllerError if it does not. `progress` is called with
-    the seconds sent so far.
+    Waits up to `patience` [s] until the node listens and tells its tool's pose, which it does once it knows the arm's
+    joints; raises IkControllerError if it does not. `progress` is called with the seconds sent so far.
     """
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = Node("target_streamer")
@@ -50,10 +51,18 @@ def stream(
     try:
         roles = sorted({target.role for target in targets})
         publishers = {role: node.create_publisher(_KINDS[role], f"{node_name}/{role}", 100) for role in roles}
+        sign = PolledSubscription(node, PolledGroup(), PoseStamped, f"{node_name}/current_pose", 1, reliable=False)
         by = time.monotonic() + patience
-        while not stopped and any(p.get_subscription_count() == 0 for p in publishers.values()):
+        ready = False
+        while not stopped and not ready:
+            heard = all(publisher.get_subscription_count() for publisher in publishers.values())
+            ready = heard and sign.take() is not None
             if time.monotonic() > by:
-                raise IkControllerError(f"nobody listens on {node_name}/{roles[0]}: is the node '{node_name}' running?")
+                raise IkControllerError(
+                    f"the node '{node_name}' does not know its arm's joints yet: does anybody publish joint_states?"
+                    if heard
+                    else f"nobody listens on {node_name}/{roles[0]}: is the node '{node_name}' running?"
+                )
             time.sleep(0.02)
         sent = 0
         while not stopped:
