@@ -6,6 +6,7 @@ with chunks or without.
 
 from __future__ import annotations
 
+import errno
 import shutil
 import struct
 from dataclasses import dataclass, replace
@@ -18,7 +19,7 @@ from mcap.records import Attachment, Chunk, Metadata
 from ik_controller.errors import BagError
 from ik_controller.recording.mcap_file import DAMAGE, McapFile, chunk_records, decompress, parse
 from ik_controller.recording.reader import BagReader, open_bag, segment_paths
-from ik_controller.recording.rosbag2 import FileMetadata, TopicMetadata, bag_information, metadata_yaml
+from ik_controller.recording.rosbag2 import FileMetadata, TopicMetadata, bag_information, write_metadata_yaml
 from ik_controller.recording.segment import MESSAGE_HEAD, ChunkBuilder, SegmentWriter
 
 _CHUNK_BYTES = 1 << 20  # where the source has no chunks
@@ -111,7 +112,8 @@ def _recover_folder(files: list[McapFile], target: Path) -> list[_Part]:
                 count = topic.count + (topics[key].count if key in topics else 0)
                 topics[key] = replace(topic, count=count)
             information = bag_information(list(topics.values()), [part.file for part in parts])
-            (target / "metadata.yaml").write_text(metadata_yaml(information), encoding="utf-8")
+            if not write_metadata_yaml(target, information):
+                raise OSError(errno.EIO, "metadata.yaml cannot be written")
         else:
             target.rmdir()
     except OSError:

@@ -6,6 +6,7 @@ beside a 1 kHz loop. The QoS text of a channel and of metadata.yaml must mean th
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import json
 import textwrap
@@ -133,9 +134,18 @@ def bag_information(
     return "\n".join(lines)
 
 
-def metadata_yaml(information: str) -> str:
-    """Return the text of metadata.yaml for what `bag_information` returned."""
-    return "rosbag2_bagfile_information:\n" + textwrap.indent(information, "  ") + "\n"
+def write_metadata_yaml(folder: Path, information: str) -> bool:
+    """Write metadata.yaml with what `bag_information` returned; a disk that fails keeps the old one: False."""
+    draft = folder / "metadata.yaml.draft"
+    try:
+        text = "rosbag2_bagfile_information:\n" + textwrap.indent(information, "  ") + "\n"
+        draft.write_text(text, encoding="utf-8")
+        draft.replace(folder / "metadata.yaml")
+        return True
+    except OSError:
+        with contextlib.suppress(OSError):
+            draft.unlink()
+        return False
 
 
 def _quoted(text: str) -> str:

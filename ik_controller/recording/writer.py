@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 from ik_controller.errors import BagError, choices
 from ik_controller.recording import schema as ros_schema
-from ik_controller.recording.rosbag2 import FileMetadata, Qos, TopicMetadata, bag_information, metadata_yaml
+from ik_controller.recording.rosbag2 import FileMetadata, Qos, TopicMetadata, bag_information, write_metadata_yaml
 from ik_controller.recording.segment import COMPRESSIONS, ChunkBuilder, Reserve, SegmentWriter
 
 RECORDER_METADATA = "ik_controller.recorder"
@@ -36,6 +36,7 @@ _CHUNK_BYTES = 1 << 20
 _RETRY = 0.5  # s between attempts to open a segment after a failure
 _FREE_BYTES = 1 << 20  # disk space that a new segment needs after a failure, else it would fail again at once
 _SMALL_BYTES = 32 << 10  # enough for metadata.yaml and the last records of a segment
+_NOTHING = -(1 << 62)  # a limit of the queue that takes no more messages
 _OVERHEAD = 200  # bytes of Python objects that a waiting message takes beside its data
 
 
@@ -198,7 +199,7 @@ class BagWriter:
 
         If the disk hangs for longer than `timeout` [s], the status returned still says "recording" or "interrupted".
         """
-        self._limit = -(1 << 62)
+        self._limit = _NOTHING
         self._closing.set()
         self._thread.join(timeout)
         return self.status()
@@ -206,7 +207,15 @@ class BagWriter:
     # -- the thread ----------------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        """Once per flush interval: take what waits, slice by slice, and bring it to disk."""
+        try:
+            self._record()
+        except Exception as error:  # nothing foreseen: stop, count, say so
+            self._reason = f"the recorder failed: {error!r}"
+            self._limit = _NOTHING
+        self._finish()
+
+    def _record(self) -> None:
+        """Once per flush interval: take what waits, slice by slice, and bring it to disk; at the end all of it."""
         pause = self._flush_interval
         while not self._closing.wait(pause):
             moved = _SLICE
@@ -223,7 +232,6 @@ class BagWriter:
             self._drain()
             if self._chunk.size >= _CHUNK_BYTES or not self._queue:
                 alive = not self._chunk.count or self._flush(at_once=True)
-        self._finish()
 
     def _await_loop(self) -> None:
         """Wait until the next `write`: the loop that called it is about to sleep and needs no interpreter then."""
@@ -344,7 +352,7 @@ class BagWriter:
             except OSError as error:
                 self._reason = f"{segment.path.name} is not sealed: {error.strerror}"
                 segment.close()
-        self._write_metadata_yaml()
+        write_metadata_yaml(self.folder, self._information(self._sealed))
 
     def _forget_deleted(self) -> None:
         """Move messages in files that somebody deleted from the written to the lost."""
@@ -384,14 +392,3 @@ class BagWriter:
         ]
         custom = {f"{RECORDER_METADATA}.{key}": value for key, value in self._account().items()}
         return bag_information(topics, [part.file for part in sealed], custom)
-
-    def _write_metadata_yaml(self) -> None:
-        text = metadata_yaml(self._information(self._sealed))
-        path = self.folder / "metadata.yaml"
-        draft = self.folder / "metadata.yaml.draft"
-        try:
-            draft.write_text(text, encoding="utf-8")
-            draft.replace(path)
-        except OSError:
-            with contextlib.suppress(OSError):
-                draft.unlink()

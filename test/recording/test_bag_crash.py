@@ -24,12 +24,14 @@ from rosbags.highlevel import AnyReader
 
 from ik_controller.recording.reader import open_bag
 from ik_controller.recording.recover import recover
+from ik_controller.recording.segment import SegmentWriter
 from ik_controller.recording.writer import RECORDER_METADATA, BagWriter
 
 # A 1 kHz loop with five messages a cycle. It notes in shared memory, which outlives it, what it has handed over.
 RECORDER = """
 import mmap, struct, sys, time
 from pathlib import Path
+from ik_controller.recording.segment import SegmentWriter
 from ik_controller.recording.writer import BagWriter
 
 with open(sys.argv[2], "r+b") as file:
@@ -234,3 +236,18 @@ def test_an_input_output_error_costs_a_segment_not_a_message(tmp_path: Path, mon
     assert (status.lost, status.reason) == (0, "Input/output error")
     assert open_bag(tmp_path / "bag" / "bag_0.mcap").complete
     assert [m.log_time_ns for m in open_bag(tmp_path / "bag").messages()] == list(range(100))
+
+
+def test_a_recorder_that_fails_itself_says_so_and_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    writer = BagWriter(tmp_path / "bag", flush_interval=0.005)
+    channel = writer.channel("/a", ARRAY)
+    writer.write(channel, 0, b"data")
+    wait_until(lambda: writer.status().messages == 1)
+    monkeypatch.setattr(SegmentWriter, "add_chunk", lambda self, chunk: 1 // 0)
+    writer.write(channel, 1, b"data")
+    wait_until(lambda: writer.status().state == "closed")
+    writer.write(channel, 2, b"data")
+    status = writer.close()
+    assert (status.messages, status.lost) == (1, 2)
+    assert "ZeroDivisionError" in status.reason
+    assert open_bag(tmp_path / "bag").complete
