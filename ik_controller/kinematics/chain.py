@@ -15,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ik_controller.kinematics.accelerate import HAS_NUMBA, compiled
+from ik_controller.kinematics.accelerate import compiled
 from ik_controller.kinematics.model import RobotModel, frame_jacobian
 
 Array = NDArray[np.float64]
@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 class Chain(NamedTuple):
     """m joints in series, moved by n coordinates: joint value = factor · q[leader] + offset (m > n with mimic joints).
 
-    `rotation` (m + 1, 3, 3), `translation` (m + 1, 3) [m]: joint frame in the frame before it, axis along z; the last one
-    is the tool. `prismatic`, `factor`, `offset`, `leader` (m,).
+    `rotation` (m + 1, 3, 3), `translation` (m + 1, 3) [m]: joint frame in the frame before it, axis along z; the
+    last one is the tool. `prismatic`, `factor`, `offset`, `leader` (m,).
     """
 
     rotation: Array
@@ -91,15 +91,9 @@ def chain_kinematics(chain: tuple[Any, ...], q: Array, rotation: Array, position
     fixed = np.empty((3, 3))
     for k in range(m + 1):
         for i in range(3):
-            p[i] += (
-                r[i, 0] * translations[k, 0] + r[i, 1] * translations[k, 1] + r[i, 2] * translations[k, 2]
-            )
+            p[i] += r[i, 0] * translations[k, 0] + r[i, 1] * translations[k, 1] + r[i, 2] * translations[k, 2]
             for j in range(3):
-                fixed[i, j] = (
-                    r[i, 0] * rotations[k, 0, j]
-                    + r[i, 1] * rotations[k, 1, j]
-                    + r[i, 2] * rotations[k, 2, j]
-                )
+                fixed[i, j] = r[i, 0] * rotations[k, 0, j] + r[i, 1] * rotations[k, 1, j] + r[i, 2] * rotations[k, 2, j]
         if k == m:
             break
         value = factor[k] * q[leader[k]] + offset[k]

@@ -27,14 +27,16 @@ def newton(name: str, options: Mapping[str, Any]) -> Callable[[Array, Array], Ar
     """Return the step rule J# e by the name and options of an inverse (N5)."""
 
     def rule(jacobian: Array, error: Array) -> Array:
-        return inverse(jacobian, name, **options) @ error
+        move: Array = inverse(jacobian, name, **options) @ error
+        return move
 
     return rule
 
 
 def transpose(jacobian: Array, error: Array) -> Array:
     """Return the step Jᵀ e (n,)."""
-    return jacobian.T @ error
+    move: Array = jacobian.T @ error
+    return move
 
 
 def iterate(
@@ -52,8 +54,9 @@ def iterate(
     history: list[Iterate] | None = None,
     attempt: int = 0,
 ) -> tuple[int, int, float, float]:
-    """Iterate from q (n,), in place; return how it ended, iterations taken, position error [m], orientation error [rad].
+    """Iterate from q (n,), in place; return how it ended, iterations, position error [m], orientation error [rad].
 
+    Where it does not converge, q is the iterate nearest to the pose, not the last.
     `step(k)` gives Λ's diagonal at iteration k; `clamp` [rad or m] is the most a joint moves in an iteration. The
     tolerances hold for the two parts of the task's own error e, as in the notes.
     """
@@ -61,10 +64,13 @@ def iterate(
     rotation, position, jacobian = np.empty((3, 3)), np.empty(3), np.empty((6, model.n))
     rows = task.mask > 0.0
     into_limits(q, lower, upper, model.prismatic)
+    best, ended = (math.inf, q.copy(), (math.inf, math.inf)), SLOW
     for k in range(iterations + 1):
         model_kinematics(chain, q, rotation, position, jacobian)
         error, task_jacobian = task.error_and_jacobian(rotation, position, jacobian)
         pose_error = task.pose_error(rotation, position)
+        if math.hypot(*pose_error) < best[0]:
+            best = (math.hypot(*pose_error), q.copy(), pose_error)
         if history is not None:
             history.append(Iterate(attempt, k, q.copy(), *pose_error))
         if np.linalg.norm(error[:3]) <= tolerance[0] and np.linalg.norm(error[3:]) <= tolerance[1]:
@@ -72,7 +78,8 @@ def iterate(
         gradient = task_jacobian.T @ error
         free = ~(((q <= lower) & (gradient < 0.0)) | ((q >= upper) & (gradient > 0.0)))
         if np.linalg.norm(gradient[free]) <= 1e-9 * np.linalg.norm(error):
-            return STATIONARY, k, *pose_error
+            ended = STATIONARY
+            break
         if k == iterations:
             break
         move = step(k) * rule(task_jacobian[rows], error[rows])
@@ -81,4 +88,5 @@ def iterate(
             break
         q += move if most <= clamp else move * (clamp / most)
         into_limits(q, lower, upper, model.prismatic)
-    return SLOW, k, *pose_error
+    q[:] = best[1]
+    return ended, k, *best[2]

@@ -4,11 +4,11 @@ It minimizes F(q) = ½ |e|², e = (p_d − p, log(R_d Rᵀ)), metres and radians
 
     Δq = (JᵀJ + λ I)⁻¹ Jᵀe,    λ = σ · (c F + ε),
 
-damping that fades with the error (Chan and Lawrence 1988; Sugihara 2011): strong far away, gone at the solution, so that
-the last steps are Newton's and a singular goal is still reached. σ is 1; where `careful`, a step that does not lower F is
-taken back and σ raised, which finds the closest point to a pose out of reach. A joint at its limit that would move
-beyond it is left out of the step; one that steps over a limit goes a full turn back where that is within its limits, and
-else stays at the limit.
+damping that fades with the error (Chan and Lawrence 1988; Sugihara 2011): strong far away, gone at the solution, so
+that the last steps are Newton's and a singular goal is still reached. σ is 1; where `careful`, a step that does not
+lower F is taken back and σ raised, which finds the closest point to a pose out of reach. A joint at its limit that
+would move beyond it is left out of the step; one that steps over a limit goes a full turn back where that is within its
+limits, and else stays at the limit.
 
 One source runs compiled by Numba or as Python; three primitives of the loop are then Pinocchio's and NumPy's.
 """
@@ -39,13 +39,11 @@ CONVERGED, STATIONARY, SLOW = 0, 1, 2
 
 @compiled
 def rotation_log_kernel(desired: Array, rotation: Array, out: Array) -> None:
-    """Write log(R_d Rᵀ) (3,) [rad], the rotation vector in base axes that takes R to R_d, finite and shortest near π."""
+    """Write log(R_d Rᵀ) (3,) [rad], the rotation vector in base axes from R to R_d, finite and shortest near π."""
     d = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
-            d[i, j] = (
-                desired[i, 0] * rotation[j, 0] + desired[i, 1] * rotation[j, 1] + desired[i, 2] * rotation[j, 2]
-            )
+            d[i, j] = desired[i, 0] * rotation[j, 0] + desired[i, 1] * rotation[j, 1] + desired[i, 2] * rotation[j, 2]
     x, y, z = 0.5 * (d[2, 1] - d[1, 2]), 0.5 * (d[0, 2] - d[2, 0]), 0.5 * (d[1, 0] - d[0, 1])
     sine = math.sqrt(x * x + y * y + z * z)
     angle = math.atan2(sine, 0.5 * (d[0, 0] + d[1, 1] + d[2, 2] - 1.0))
@@ -53,7 +51,7 @@ def rotation_log_kernel(desired: Array, rotation: Array, out: Array) -> None:
         scale = 1.0 if sine < 1e-12 else angle / sine
         out[0], out[1], out[2] = scale * x, scale * y, scale * z
         return
-    # Near π the sine is lost in round-off; the axis is a column of the symmetric part, ½(D + Dᵀ) − cos·I = (1 − cos) aaᵀ.
+    # Near π the sine is lost in round-off; the axis a is a column of ½(D + Dᵀ) − cos·I = (1 − cos) aaᵀ.
     largest = 0
     for i in range(1, 3):
         if d[i, i] > d[largest, largest]:
@@ -190,7 +188,7 @@ def descend(
     q: Array,
     history: Array,
 ) -> tuple[int, int, float, float]:
-    """Descend from q (n,), in place; return how it ended, iterations taken, position error [m], orientation error [rad].
+    """Descend from q (n,), in place; return how it ended, iterations, position error [m], orientation error [rad].
 
     `axes` (6,) 1 or 0 for each of x y z and the rotations about them, along the columns of `frame` (3, 3);
     `step_size` (n,) scales Δq and `clamp` [rad or m] is the most a joint moves in an iteration; `history`

@@ -37,7 +37,7 @@ class Solution:
     `converged`; `reason`, a key of REASONS; `q` (n,), the solution, or the closest configuration found;
     `position_error_m`, `orientation_error_rad` at q, over the axes asked for; `solutions`, every solution found, (n,)
     each, q first (empty where not converged); `iterations` over all attempts; `restarts` taken; `history`, empty unless
-    asked for; `free`, a sentence for each singularity of a closed form at which joints can move without moving the tool,
+    asked for; `free`, a sentence for each singularity of a closed form where joints can move without moving the tool,
     so that `solutions` holds one of infinitely many.
     """
 

@@ -1,4 +1,4 @@
-"""solve_ik: joints for a tool pose, by iteration or in closed form, with the reason where there are none (N7-N9, N12)."""
+"""solve_ik: joints for a tool pose, by iteration or in closed form, or the reason why there are none (N7-N9, N12)."""
 
 from __future__ import annotations
 
@@ -11,24 +11,23 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ik_controller.errors import ArgumentError
-from ik_controller.kinematics.chain import PinocchioChain, chain_of
+from ik_controller.kinematics.chain import PinocchioChain
 from ik_controller.kinematics.checks import check_array, check_choice
 from ik_controller.kinematics.inverses import INVERSES
 from ik_controller.kinematics.iterate import iterate, newton, transpose
-from ik_controller.kinematics.levenberg_marquardt import CONVERGED, STATIONARY, descend, solver_chain
+from ik_controller.kinematics.levenberg_marquardt import descend, solver_chain
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.kinematics.orientation_error import DEFAULT_ORIENTATION_ERROR
+from ik_controller.kinematics.search import Attempt, search
 from ik_controller.kinematics.solution import Iterate, Solution
 from ik_controller.kinematics.task import Task
 
 Array = NDArray[np.float64]
-Attempt = Callable[[Array, int, bool, bool], tuple[int, int, float, float]]
 
 METHODS = ("newton", "damped", "transpose", "analytic")
 MAX_ITERATIONS = {"newton": 100, "damped": 30, "transpose": 1000}
 RESTARTS = {"newton": 0, "damped": 100, "transpose": 0}
 POLISH_ITERATIONS = 200
-SAME_SOLUTION = 1e-3  # [rad or m] two iterated solutions nearer than this are one
 
 
 def solve_ik(
@@ -60,15 +59,15 @@ def solve_ik(
     unless given. `method`: newton (θ + Λ J⁺e), transpose (θ + Λ Jᵀe), damped (Levenberg-Marquardt) or analytic (closed
     form, for arms that `closed_form.recognise` knows).
 
-    `axes`: the subset of xyzrpy that counts, along the axes of `frame`: "base"; "body", the desired tool frame, so that
-    "xyzrp" leaves the turn about the tool's z free; newton and transpose take their error as twist in "body" or "space".
-    `step`: λ, or Λ's diagonal (n,), or a function of k that gives either. `position_tolerance` [m],
-    `orientation_tolerance` [rad]. `max_iterations` per attempt and `restarts`, from random configurations by `seed`:
-    30 and 100 for damped, 100 and 0 for newton, 1000 and 0 for transpose. `clamp` [rad or m]: the most a joint moves in
-    one iteration. `respect_limits`: keep every iterate within the joint limits. `all_solutions`: all that the closed form
-    or the restarts find, in `solutions`. `history`: keep every iterate. `inverse`, `inverse_options`: newton's J⁺ by the
-    name and options of `inverses.inverse`; `orientation_error`: newton's and transpose's, by name. `swivel` [rad]: the
-    elbow's angle of a 7-joint closed form, that of q0 unless given.
+    `axes`: the subset of xyzrpy that counts, along the axes of `frame`: "base"; or "body", the desired tool frame, so
+    that "xyzrp" leaves the turn about the tool's z free. With all axes, newton and transpose take their error as twist
+    in "body" or "space". `step`: λ, or Λ's diagonal (n,), or a function of k that gives either. `position_tolerance`
+    [m], `orientation_tolerance` [rad]. `max_iterations` per attempt, and `restarts` from random configurations by
+    `seed`: 30 and 100 for damped, 100 and 0 for newton, 1000 and 0 for transpose. `clamp` [rad or m]: the most a joint
+    moves in one iteration. `respect_limits`: keep every iterate within the joint limits. `all_solutions`: all that the
+    closed form or the restarts find, in `solutions`. `history`: keep every iterate. `inverse`, `inverse_options`:
+    newton's J⁺ by the name and options of `inverses.inverse`; `orientation_error`: newton's and transpose's, by name.
+    `swivel` [rad]: the elbow's angle of a 7-joint closed form, that of q0 unless given.
 
     Raises ArgumentError naming the argument; a pose that cannot be reached raises nothing. Source: notes 000/003 (N7),
     001 (N12), 002 (N8, N9); damping of Chan and Lawrence 1988.
@@ -99,17 +98,20 @@ def solve_ik(
         if frame == "space":
             raise ArgumentError("frame: method 'damped' takes 'base' or 'body'; both minimize the same error")
         attempt = _damped(model, task, _diagonal(step, model.n, method), clamp, tolerance, iterations, kept)
-    else:
-        check_choice(inverse, "inverse", INVERSES)
-        rule = newton(inverse, inverse_options or {}) if method == "newton" else transpose
-        attempt = _iterated(model, task, rule, step, clamp, tolerance, iterations, kept)
-    return _search(model, task, attempt, start, tolerance, again, seed, respect_limits, all_solutions, kept)
+        return search(model, task, attempt, attempt, start, again, seed, respect_limits, all_solutions, kept)
+    check_choice(inverse, "inverse", INVERSES)
+    rule = newton(inverse, inverse_options or {}) if method == "newton" else transpose
+    attempt = _iterated(model, task, rule, step, clamp, tolerance, iterations, kept)
+    closer = _damped(model, task, _constant(1.0, model.n), math.inf, tolerance, iterations, None)
+    return search(model, task, attempt, closer, start, again, seed, respect_limits, all_solutions, kept)
 
 
-def solve_damped(model: RobotModel, task: Task, start: Array, tolerance: tuple[float, float], limited: bool) -> Solution:
+def solve_damped(
+    model: RobotModel, task: Task, start: Array, tolerance: tuple[float, float], limited: bool
+) -> Solution:
     """Return the damped solution of a checked task, with the defaults of `solve_ik`."""
     attempt = _damped(model, task, _constant(1.0, model.n), math.inf, tolerance, MAX_ITERATIONS["damped"], None)
-    return _search(model, task, attempt, start, tolerance, RESTARTS["damped"], 0, limited, False, None)
+    return search(model, task, attempt, attempt, start, RESTARTS["damped"], 0, limited, False, None)
 
 
 # -- one attempt: from a start, in place; (q, number, within limits?, careful?) → how it ended, iterations, errors
@@ -135,7 +137,7 @@ def _damped(
             chain, task.rotation, task.position, task.mask, frame, lower, upper, model.prismatic,
             step, float(clamp), *tolerance, most, careful, q, rows,
         )  # fmt: skip
-        if kept is not None:
+        if kept is not None and number >= 0:  # a probe without limits is none of the history's
             kept.extend(
                 Iterate(number, k, row[:-2].copy(), float(row[-2]), float(row[-1]))
                 for k, row in enumerate(rows[: ended[1] + 1])
@@ -192,122 +194,6 @@ def _bounds(model: RobotModel, limited: bool) -> tuple[Array, Array]:
     return np.full(model.n, -math.inf), np.full(model.n, math.inf)
 
 
-# -- attempts from several starts, and what their ends mean together
-
-
-def _search(
-    model: RobotModel,
-    task: Task,
-    attempt: Attempt,
-    start: Array,
-    tolerance: tuple[float, float],
-    again: int,
-    seed: int,
-    limited: bool,
-    all_solutions: bool,
-    kept: list[Iterate] | None,
-) -> Solution:
-    solved: list[tuple[Array, float, float]] = []
-    ends: list[tuple[float, Array, float, float, int]] = []
-    total, number = 0, 0
-    q = start
-    while True:
-        ended, taken, linear, angular = attempt(q, number, limited, False)
-        total += taken
-        if ended == CONVERGED:
-            if all(np.abs(q - other).max() > SAME_SOLUTION for other, _, _ in solved):
-                solved.append((q, linear, angular))
-            if not all_solutions:
-                break
-        else:
-            ends.append((linear * linear + angular * angular, q, linear, angular, ended))
-        if number == again:
-            break
-        number += 1
-        q = _random_start(model, number, again, seed)
-    if not solved:
-        return _unsolved(model, task, attempt, start, ends, limited, total, number, kept)
-    return Solution(
-        True,
-        "converged",
-        *solved[0],
-        solutions=tuple(q for q, _, _ in solved),
-        iterations=total,
-        restarts=number,
-        history=tuple(kept or ()),
-    )
-
-
-def _unsolved(
-    model: RobotModel,
-    task: Task,
-    attempt: Attempt,
-    start: Array,
-    ends: list[tuple[float, Array, float, float, int]],
-    limited: bool,
-    total: int,
-    number: int,
-    kept: list[Iterate] | None,
-) -> Solution:
-    """Come as close as possible from the best ends, and say why not closer."""
-    polished = []
-    for _, end, _, _, _ in sorted(ends, key=lambda one: one[0])[:4]:
-        q = end.copy()
-        ended, taken, linear, angular = attempt(q, number, limited, True)
-        total += taken
-        if ended == CONVERGED:
-            return Solution(True, "converged", q, linear, angular, (q,), total, number, tuple(kept or ()))
-        polished.append((linear * linear + angular * angular, q, linear, angular, ended))
-    polished.sort(key=lambda one: one[0])
-    cost, q, linear, angular, ended = polished[0]
-    settled = ended == STATIONARY or (len(polished) > 1 and _agree(cost, polished[1][0]))
-    if _beyond_reach(model, task):
-        reason = "unreachable"
-    elif limited and any(_solves_without_limits(attempt, one[1], number) for one in (*polished, *ends[:10])):
-        reason = "limit"
-    elif len(polished) > 1 and _agree(cost, polished[1][0]):
-        reason = "unreachable"
-    elif settled:
-        at_limit = limited and bool(((q <= model.lower) | (q >= model.upper)).any())
-        reason = "limit" if at_limit and number == 0 else "local_minimum"
-    else:
-        reason = "iterations"
-    return Solution(False, reason, q, linear, angular, (), total, number, tuple(kept or ()))
-
-
-def _agree(one: float, other: float) -> bool:
-    return abs(one - other) <= 1e-4 * max(one, other)
-
-
-def _solves_without_limits(attempt: Attempt, end: Array, number: int) -> bool:
-    return attempt(end.copy(), number, False, True)[0] == CONVERGED
-
-
-def _beyond_reach(model: RobotModel, task: Task) -> bool:
-    """Return whether the position is farther from the first joint than the links are long: then nothing reaches it."""
-    if not task.mask[:3].all():
-        return False
-    chain = chain_of(model)
-    if chain.prismatic.any() and not np.isfinite([model.lower, model.upper]).all():
-        return False
-    reach = np.linalg.norm(chain.translation[1:], axis=1).sum()
-    ends = np.abs(chain.factor * np.stack((model.lower, model.upper))[:, chain.leader] + chain.offset).max(axis=0)
-    reach += ends[chain.prismatic].sum()
-    return bool(np.linalg.norm(task.position - chain.translation[0]) > reach)
-
-
-def _random_start(model: RobotModel, number: int, count: int, seed: int) -> Array:
-    """Return configuration `number` of `count` uniform ones within the limits (a turn where a joint has none)."""
-    lower = np.where(np.isfinite(model.lower), model.lower, -math.pi)
-    upper = np.where(np.isfinite(model.upper), model.upper, math.pi)
-    return lower + (upper - lower) * _unit_samples(count, model.n, seed)[number - 1]
-
-
-@lru_cache(maxsize=64)
-def _unit_samples(count: int, n: int, seed: int) -> Array:
-    return np.random.default_rng(seed).random((count, n))
-
-
 # -- arguments
 
 
@@ -335,4 +221,3 @@ def _diagonal(step: float | ArrayLike | Callable[[int], Any], n: int, where: str
 @lru_cache(maxsize=64)
 def _constant(value: float, n: int) -> Array:
     return np.full(n, value)
-

@@ -6,7 +6,8 @@ Three forms of the same error, `frame`:
     body   [E_b] = log(T_sb⁻¹ T_sd), the twist in the tool frame, with the body Jacobian J_b
     space  E_s = Ad(T_sb) E_b, the same twist seen from the base frame's origin, with the space Jacobian J_s
 
-Twists are (v, ω), as everywhere here; the notes write (ω, v).
+Twists are (v, ω), as everywhere here; the notes write (ω, v). With a subset of the axes, "body" is the form of "base"
+along the axes of the desired tool frame: single components of a twist are no distances.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ def is_rotation(rows: list[list[float]]) -> bool:
 
 @dataclass(slots=True)
 class Task:
-    """What to reach: `rotation` (3, 3), `position` (3,) [m], `mask` (6,) of `frame`'s axes, orientation error by name."""
+    """What to reach: `rotation` (3, 3), `position` (3,) [m]; `mask` (6,) of `frame`'s axes; the orientation error."""
 
     rotation: Array
     position: Array
@@ -92,9 +93,7 @@ class Task:
     orientation: OrientationError
 
     @classmethod
-    def create(
-        cls, pose: ArrayLike, axes: str, frame: str, orientation: str = DEFAULT_ORIENTATION_ERROR
-    ) -> Task:
+    def create(cls, pose: ArrayLike, axes: str, frame: str, orientation: str = DEFAULT_ORIENTATION_ERROR) -> Task:
         """Check and collect. Raises ArgumentError naming pose, axes, frame or orientation error."""
         check_choice(frame, "frame", FRAMES)
         mask = axes_mask(axes)
@@ -121,9 +120,13 @@ class Task:
         error = self.mask * np.concatenate((axes.T @ error[:3], axes.T @ error[3:]))
         return float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:]))
 
+    def pose_error_at(self, pose: Any) -> tuple[float, float]:
+        """Return `pose_error` of a `pin.SE3`."""
+        return self.pose_error(pose.rotation, pose.translation)
+
     def error_and_jacobian(self, rotation: Array, position: Array, jacobian: Array) -> tuple[Array, Array]:
         """Return e (6,) and its Jacobian (6, n) in the task's frame from J₀, both 0 in the rows that do not count."""
-        if self.frame == "base":
+        if self.frame == "base" or not self.mask.all():
             turn = self.orientation.to_angular_velocity(self.orientation.function(self.rotation, rotation), rotation)
             error = np.concatenate((self.position - position, turn))
             jacobian = jacobian.copy()

@@ -42,7 +42,7 @@ class ClosedForm:
             raise ArgumentError(f"axes: the closed form for the {self.name} needs xyzrpy")
 
     def candidates(self, target: Any, reference: Array, free: set[str]) -> Iterator[Sequence[float]]:
-        """Yield joint vectors for a pose (`pin.SE3`); a free joint takes its value of `reference` (n,), and is reported."""
+        """Yield joint vectors for a pose `pin.SE3`; a free joint takes its `reference`, and `free` gets a sentence."""
         raise NotImplementedError
 
 

@@ -1,7 +1,7 @@
 """The arm as screw axes, and the few equations that every closed form here is made of (N8).
 
-A pose is T(q) = e^{S₁q₁} ⋯ e^{Sₙqₙ} M (000/003), with the axes and M taken at q = 0 in the base frame. So nothing depends on
-how a URDF or a DH table places its frames, and the notes' formulas come out as the special case of their figures.
+A pose is T(q) = e^{S₁q₁} ⋯ e^{Sₙqₙ} M (000/003), with the axes and M taken at q = 0 in the base frame. So nothing
+depends on how a URDF or a DH table places its frames; the notes' formulas are the special case of their figures.
 """
 
 from __future__ import annotations
@@ -24,13 +24,15 @@ Array = NDArray[np.float64]
 ALIGNED = 1e-5
 # Below this, a projection has no direction left: the angle that would be read from it is free.
 VANISHING = 1e-9
+# A cosine this near to ±1 is on the boundary: the angle, known to √ε only, is taken as exactly 0 or π.
+BOUNDARY = 1e-14
 # How far beyond ±1 a cosine may be (a pose on the boundary, or out of reach by less than a tolerance).
 OVERSHOOT = 1e-5
 
 
 @dataclass(frozen=True)
 class Screws:
-    """Joint axes at q = 0 in the base frame: `axis` (n, 3) unit, `point` (n, 3) on it [m], `prismatic` (n,); `home` is M."""
+    """Joint axes at q = 0 in the base frame: `axis` (n, 3), `point` (n, 3) on it [m], `prismatic` (n,); `home` is M."""
 
     axis: Array
     point: Array
@@ -65,7 +67,8 @@ class Screws:
     def move(self, joint: int, value: float, x: Array) -> Array:
         """Return the point x (3,) moved by a joint's value [rad or m]."""
         if self.prismatic[joint]:
-            return x + value * self.axis[joint]
+            slid: Array = x + value * self.axis[joint]
+            return slid
         moved: Array = self.point[joint] + self.rotation(joint, value) @ (x - self.point[joint])
         return moved
 
@@ -123,13 +126,28 @@ def solve_circle(a: float, b: float, c: float) -> tuple[float, ...] | None:
     ratio = c / rho
     if abs(ratio) > 1.0 + OVERSHOOT:
         return ()
-    middle, half = math.atan2(b, a), math.acos(max(-1.0, min(1.0, ratio)))
-    return (middle + half, middle - half) if 0.0 < half < math.pi else (middle + half,)
+    middle = math.atan2(b, a)
+    if abs(ratio) >= 1.0 - BOUNDARY:
+        return (middle if ratio > 0.0 else middle + math.pi,)
+    half = math.acos(ratio)
+    return middle + half, middle - half
 
 
 def solve_projection(axis: Array, v: Array, h: Array, c: float) -> tuple[float, ...] | None:
     """Return the angles θ with h · R(axis, θ) v = c, as `solve_circle`."""
     return solve_circle(float(h @ across(axis, v)), float(h @ cross(axis, v)), c - float(h @ axis) * float(axis @ v))
+
+
+def solve_tilt(axis: Array, v: Array, h: Array, target: Array) -> tuple[float, ...]:
+    """Return the angles θ for which R(axis, θ) v makes the same angle with h as `target` does, all unit vectors.
+
+    Where v and h lie across the axis, sine and cosine of that angle are both at hand, and θ is exact to the boundary.
+    """
+    cosine = float(h @ target)
+    if abs(float(axis @ v)) > ALIGNED or abs(float(axis @ h)) > ALIGNED:
+        return solve_projection(axis, v, h, cosine) or ()
+    middle, half = angle_about(axis, v, h) or 0.0, math.atan2(float(np.linalg.norm(cross(h, target))), cosine)
+    return middle + half, middle - half
 
 
 def solve_distance(axis: Array, v: Array, b: Array, d2: float) -> tuple[float, ...] | None:

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 def solve_pair(
     screws: Screws, first: int, second: int, x: Array, y: Array, reference: float, free: set[str]
 ) -> Iterator[tuple[float, float]]:
-    """Yield (θ₁, θ₂) of two parallel revolute joints that move the point x onto y, both (3,), in the plane across them."""
+    """Yield (θ₁, θ₂) of two parallel revolute joints that move the point x (3,) onto y, in the plane across them."""
     axis = screws.axis[first]
     base, elbow = screws.point[first], screws.point[second]
     goal = across(axis, y - base)
@@ -90,7 +90,7 @@ def solve_triple(
     reference: Array,
     free: set[str],
 ) -> Iterator[tuple[float, float, float]]:
-    """Yield (θ₁, θ₂, θ₃) of three parallel revolute joints for a rotation about `axis` and the place of joint 3's axis."""
+    """Yield (θ₁, θ₂, θ₃) of three parallel joints for a rotation about `axis` and the place of the third axis."""
     first, second, last = joints
     beside = across(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     total = angle_about(axis, beside, rotation @ beside)

@@ -70,7 +70,7 @@ def _bent(screws: Screws, one: int, other: int) -> bool:
 
 
 def _orients(screws: Screws, one: int, two: int, three: int) -> bool:
-    """Return whether three axes are those of a wrist: its neighbours across each other, so that every rotation is met."""
+    """Return whether three axes are a wrist's: neighbours across each other, so that every rotation is met."""
     across_12 = abs(float(screws.axis[one] @ screws.axis[two]))
     return across_12 < ALIGNED and abs(float(screws.axis[two] @ screws.axis[three])) < ALIGNED
 

@@ -1,8 +1,8 @@
 """Seven joints, shoulder–elbow–wrist, in closed form with the swivel angle (N9; Tolani, Goswami & Badler 2000).
 
-Axes 1-3 meet in the shoulder S, axes 5-7 in the wrist W, joint 4 is the elbow. |W − S| gives θ₄ twice; the elbow may then turn
-about the line S-W by the swivel angle φ without moving the hand. Given φ, the shoulder's rotation is known, and shoulder
-and wrist are solved as spherical wrists, twice each: 8 solutions for any φ.
+Axes 1-3 meet in the shoulder S, axes 5-7 in the wrist W, joint 4 is the elbow. |W − S| gives θ₄ twice; the elbow may
+then turn about the line S-W by the swivel angle φ without moving the hand. Given φ, the shoulder's rotation is known,
+and shoulder and wrist are solved as spherical wrists, twice each: 8 solutions for any φ.
 
 φ [rad] is the angle about the line from S to W from the reference direction, base z across that line (base x where the
 line is within 1e-6 of vertical), to the elbow E, the point of axis 4 nearest to S; where E lies on the line, to axis 4.
@@ -31,7 +31,7 @@ IN_LINE = 1e-6  # [m] an elbow nearer to the line from shoulder to wrist is on i
 
 @dataclass(frozen=True)
 class Swivel(ClosedForm):
-    """Shoulder–elbow–wrist arm: 2 elbow × 2 shoulder × 2 wrist solutions at a swivel angle; None: that of the reference."""
+    """Shoulder–elbow–wrist arm: 2 elbow × 2 shoulder × 2 wrist solutions at `swivel`, None: that of the reference."""
 
     swivel: float | None = None
 

@@ -1,8 +1,8 @@
 """Arms of six joints: PUMA type 6R, Stanford type RRPRRR, three parallel axes (UR type) (N8).
 
-All begin alike. Joints 2 … keep the wrist point W in a plane across the axis h of joint 2, so h · e^{−S₁θ₁} p_W is known and
-gives θ₁ twice: for the arm of the notes, θ₁ = atan2(p_Wy, p_Wx) and that + π. Where p_Wx = p_Wy = 0 any θ₁ does: it is taken
-from the reference and reported.
+All begin alike. Joints 2 … keep the wrist point W in a plane across the axis h of joint 2, so h · e^{−S₁θ₁} p_W is
+known and gives θ₁ twice: for the arm of the notes, θ₁ = atan2(p_Wy, p_Wx) and that + π. Where p_Wx = p_Wy = 0, any θ₁
+does: it is taken from the reference and reported.
 """
 
 from __future__ import annotations
@@ -14,12 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ik_controller.errors import ArgumentError, choices
 from ik_controller.kinematics.closed_form.base import ClosedForm
 from ik_controller.kinematics.closed_form.geometry import (
     OVERSHOOT,
     Screws,
     angle_about,
     solve_projection,
+    solve_tilt,
 )
 from ik_controller.kinematics.closed_form.planar import solve_pair, solve_triple
 from ik_controller.kinematics.closed_form.wrist import solve_wrist
@@ -38,12 +40,20 @@ def solve_first(screws: Screws, wrist: Array, p: Array, reference: float, free: 
     return angles
 
 
+def meeting(screws: Screws, *joints: int) -> Array:
+    """Return the point (3,) where axes meet. Raises ArgumentError where they do not: the arm is not of this form."""
+    point = screws.meeting_point(*joints)
+    if point is None:
+        raise ArgumentError(f"model: axes {choices(str(joint + 1) for joint in joints)} do not meet")
+    return point
+
+
 class _WithWrist(ClosedForm):
     """An arm of three joints that carries a spherical wrist."""
 
     def candidates(self, target: Any, reference: Array, free: set[str]) -> Iterator[Sequence[float]]:
         screws = self.screws
-        wrist = screws.meeting_point(3, 4, 5)
+        wrist = meeting(screws, 3, 4, 5)
         moved = target * screws.home.inverse()
         p = moved.act(wrist)
         for theta1 in solve_first(screws, wrist, p, float(reference[0]), free):
@@ -87,7 +97,7 @@ class Stanford(_WithWrist):
         screws, h, d = self.screws, self.screws.axis[1], self.screws.axis[2]
         base = screws.point[1]
         start, goal = wrist - base, y - base
-        # h · start = h · goal already, so the distances in space may be compared: q² + 2q d·start + |start|² − |goal|² = 0
+        # h · start = h · goal already, so distances in space may be compared: q² + 2q d·start + |start|² − |goal|² = 0
         half = float(d @ start)
         square = half * half - float(start @ start) + float(goal @ goal)
         if square < -OVERSHOOT * float(goal @ goal):
@@ -104,8 +114,8 @@ class Stanford(_WithWrist):
 class ThreeParallel(ClosedForm):
     """Axes 2, 3 and 4 parallel, axes 5 and 6 meeting, as in Universal Robots' arms: 8 solutions.
 
-    θ₁ as above for the point W where axes 5 and 6 meet; h · R₁ᵀ R k₆ = h · R₅ k₆ gives θ₅ twice; θ₆ turns what is left of h;
-    joints 2, 3 and 4 are then a planar 3R arm.
+    θ₁ as above for the point W where axes 5 and 6 meet; h · R₁ᵀ R k₆ = h · R₅ k₆ gives θ₅ twice; θ₆ turns what is left
+    of h; joints 2, 3 and 4 are then a planar 3R arm.
     """
 
     name = "6R arm with three parallel axes (UR type)"
@@ -114,12 +124,12 @@ class ThreeParallel(ClosedForm):
     def candidates(self, target: Any, reference: Array, free: set[str]) -> Iterator[Sequence[float]]:
         screws = self.screws
         h, k5, k6 = screws.axis[1], screws.axis[4], screws.axis[5]
-        wrist = screws.meeting_point(4, 5)
+        wrist = meeting(screws, 4, 5)
         moved = target * screws.home.inverse()
         p = moved.act(wrist)
         for theta1 in solve_first(screws, wrist, p, float(reference[0]), free):
             rotation = screws.rotation(0, theta1).T @ moved.rotation
-            for theta5 in solve_projection(k5, k6, h, float(h @ rotation @ k6)) or ():
+            for theta5 in solve_tilt(k5, k6, h, rotation @ k6):
                 turn5 = screws.rotation(4, theta5)
                 # R₂₃₄ leaves h as it is: hᵀ rotation = hᵀ R₅ R₆
                 theta6 = angle_about(k6, rotation.T @ h, turn5.T @ h)

@@ -1,7 +1,7 @@
 """Spherical wrist: three revolute axes that meet in a point, solved for a rotation (N8).
 
-With R = R(k₁, θ₁) R(k₂, θ₂) R(k₃, θ₃): k₁ᵀ R k₃ = k₁ᵀ R(k₂, θ₂) k₃ gives θ₂ twice; θ₁ turns R(k₂, θ₂) k₃ onto R k₃; θ₃ is
-what remains. For axes z, y, x these are the ZYX Euler angles of the notes, for z, y, z the formulas of 002.
+With R = R(k₁, θ₁) R(k₂, θ₂) R(k₃, θ₃): k₁ᵀ R k₃ = k₁ᵀ R(k₂, θ₂) k₃ gives θ₂ twice; θ₁ turns R(k₂, θ₂) k₃ onto R k₃;
+θ₃ is what remains. For axes z, y, x these are the ZYX Euler angles of the notes, for z, y, z the formulas of 002.
 Where k₁ and R k₃ are in line, only θ₁ ± θ₃ is given: θ₁ is taken from the reference and the case reported.
 """
 
@@ -18,7 +18,7 @@ from ik_controller.kinematics.closed_form.geometry import (
     across,
     angle_about,
     cross,
-    solve_projection,
+    solve_tilt,
 )
 
 Array = NDArray[np.float64]
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 def solve_wrist(
     screws: Screws, joints: tuple[int, int, int], rotation: Array, reference: float, free: set[str]
 ) -> Iterator[tuple[float, float, float]]:
-    """Yield the angles of three joints that compose to `rotation` (3, 3): two sets, one at the boundary or a singularity.
+    """Yield the angles of three joints that compose to `rotation` (3, 3): two sets, or one at a singularity.
 
     `reference` [rad] is the first joint's angle where the wrist is singular; `free` then gets a sentence.
     """
@@ -36,12 +36,12 @@ def solve_wrist(
     target = rotation @ k3
     # A vector across k3, to read the last angle from.
     beside = across(k3, np.eye(3)[int(np.argmin(np.abs(k3)))])
-    middle = solve_projection(screws.axis[second], k3, k1, float(k1 @ target))
+    middle = solve_tilt(screws.axis[second], k3, k1, target)
     singular = float(np.linalg.norm(cross(k1, target))) < VANISHING
-    if singular and middle:
+    if singular:
         middle = middle[:1]  # two solutions fall together
         free.add(f"wrist singularity: joints {first + 1} and {third + 1} turn about one line, joint {first + 1} kept")
-    for theta2 in middle or ():
+    for theta2 in middle:
         turned = screws.rotation(second, theta2)
         theta1 = reference if singular else angle_about(k1, turned @ k3, target)
         if theta1 is None:
