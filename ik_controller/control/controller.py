@@ -140,6 +140,9 @@ class Controller:
             limits.velocity_twice,
             limits.acceleration_twice,
         )
+        if limits.reserve:
+            reach = limits.stop_in_time(reach, self._q, self._v, dt)
+            fits = bool((np.concatenate((wanted, -wanted)) <= reach).all())
         sigma, damped = inverse.smallest_singular_value, inverse.damped
         if fits:
             return self._commit(wanted, dt, law.error, Status(Code.TRACKING, 1.0, Limit.NONE, -1, damped, sigma))

@@ -15,6 +15,11 @@ from ik_controller.kinematics.accelerate import compiled
 
 Array = NDArray[np.float64]
 
+ENDLESS = 1e18  # room ahead of a joint without bounds [rad or m]
+# The feedback K e is slowed as a whole to these speeds of the tool along any axis: as fast as arms are.
+FASTEST_APPROACH = 1.5  # [m/s]
+FASTEST_TURN = 3.0  # [rad/s]
+
 
 @compiled
 def velocity_interval(q: Array, v: Array, dt: float, bounds: Array, velocity: Array, acceleration: Array) -> Array:
@@ -24,9 +29,10 @@ def velocity_interval(q: Array, v: Array, dt: float, bounds: Array, velocity: Ar
     `acceleration` (2n,): the limits, twice.
     """
     speed = np.concatenate((v, -v))
-    room = np.maximum(bounds - np.concatenate((q, -q)), 0.0)
-    reach = acceleration * (np.sqrt(dt * dt + (2.0 * room) / acceleration) - dt)
-    # Rounding in the square root may ask for a little more than the room: never step over the bound.
+    room = np.minimum(np.maximum(bounds - np.concatenate((q, -q)), 0.0), ENDLESS)
+    # a (√(dt² + 2 room/a) − dt) in the form that loses no digits near the bound and serves an infinite a too.
+    reach = (2.0 * room) / (np.sqrt(dt * dt + (2.0 * room) / acceleration) + dt)
+    # Rounding may ask for a little more than the room: never step over the bound.
     reach = np.minimum(np.minimum(reach, room * (1.0 / dt)), velocity)
     # Acceleration comes last: it always holds; the others do as long as they held before (or shrink to it).
     step = acceleration * dt
@@ -65,7 +71,9 @@ def task_velocity(
     `feed_forward` ẋ_d and `feedback` K e (6,); `fastest` the largest eigenvalue of K; `braking` (n,) the accelerations
     that β plans with; `seek` (n,) = q̇₀, slowed as a whole to stay below `seek_limit` (n,).
     """
-    approach = apply_inverse(jacobian, directions, factors, feedback)
+    # A target far beyond reach must not throw the arm through the singularity at its reach's edge, again and again.
+    haste = max(np.max(np.abs(feedback[:3])) / FASTEST_APPROACH, np.max(np.abs(feedback[3:])) / FASTEST_TURN, 1.0)
+    approach = apply_inverse(jacobian, directions, factors, feedback / haste)
     null = seek / max(np.max(np.abs(seek) / seek_limit), 1.0)
     steady = null + apply_inverse(jacobian, directions, factors, feed_forward - np.dot(jacobian, null))
     return steady + braking_factor(approach, fastest, braking) * approach

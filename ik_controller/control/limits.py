@@ -8,6 +8,9 @@ for joint i only if
 v²/(2a) is the braking distance in continuous time; braking in steps of a·dt needs less, whatever dt, so from an
 accepted state the command v − a·dt is accepted too: the interval never becomes empty. Solved for v, the last one is
 v ≤ a (√(dt² + 2 (q_max − q_k)/a) − dt). A joint that starts outside its bounds may hold or move inward.
+
+Where the scale on accelerations is lowered while a joint moves towards its bound, the scaled acceleration may no longer
+stop it in time: then, and only then, it brakes with as much of the model's own limit as that takes.
 """
 
 from __future__ import annotations
@@ -35,6 +38,9 @@ class JointLimits:
         self.bounds = np.concatenate((model.upper, -model.lower))
         self.velocity_twice = np.concatenate((self.velocity, self.velocity))
         self.acceleration_twice = np.concatenate((self.acceleration, self.acceleration))
+        self.reserve = acceleration_scale < 1.0  # does the scale hold back some of the model's own acceleration?
+        self._all_acceleration = np.concatenate((model.acceleration_limit, model.acceleration_limit))
+        self._any_velocity = np.full(2 * model.n, np.inf)
         self._n = model.n
         self.low = -self.velocity
         self.high = self.velocity.copy()
@@ -44,7 +50,15 @@ class JointLimits:
 
         `bounds` (2n,): `self.bounds`, or narrower ones of `bounds_around`.
         """
-        self.take(velocity_interval(q, v, dt, bounds, self.velocity_twice, self.acceleration_twice))
+        reach = velocity_interval(q, v, dt, bounds, self.velocity_twice, self.acceleration_twice)
+        self.take(self.stop_in_time(reach, q, v, dt) if self.reserve else reach)
+
+    def stop_in_time(self, reach: Array, q: Array, v: Array, dt: float) -> Array:
+        """Return `reach` (2n,) moved to where braking with the reserve still stops within the joints' bounds."""
+        latest: Array = velocity_interval(q, v, dt, self.bounds, self._any_velocity, self._all_acceleration)
+        opposite = -np.concatenate((latest[self._n :], latest[: self._n]))
+        result: Array = np.minimum(np.maximum(reach, opposite), latest)
+        return result
 
     def take(self, reach: Array) -> None:
         """Set `low` and `high` from a result (2n,) of `velocity_interval`."""

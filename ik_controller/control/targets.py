@@ -39,6 +39,7 @@ class Targets:
     """Collects targets, all times in integer nanoseconds of one clock; `reference(now, dt)` gives the cycle's set point."""
 
     def __init__(self, parameters: ControllerParameters) -> None:
+        self._segment: tuple[_Sample, _Sample, Segment] | None = None  # the last one asked for
         self.set_parameters(parameters)
         self.clear()
 
@@ -60,7 +61,7 @@ class Targets:
         self._joints: tuple[Array, Array] | None = None
         self._pose_arrival = self._twist_arrival = self._joints_arrival = -(1 << 62)
         self._clock: dict[str, int] = {}
-        self._segment: tuple[_Sample, _Sample, Segment] | None = None
+        self._segment = None
 
     # -- what arrives
 
