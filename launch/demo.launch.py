@@ -24,7 +24,7 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument("robot", default_value="panda", description="Bundled robot: panda or ur5e."),
         DeclareLaunchArgument(
             "targets",
-            default_value=PathJoinSubstitution([share, "bags", [robot, "_figure_eight"]]),
+            default_value=[PathJoinSubstitution([share, "bags", robot]), "_figure_eight"],
             description="Bag of target poses and twists to stream; the robot's own figure-eight unless given.",
         ),
         DeclareLaunchArgument("rate", default_value="1000.0", description="Control cycles a second, 100 to 1000 [Hz]."),
@@ -40,7 +40,7 @@ def generate_launch_description() -> LaunchDescription:
         ],
         output="screen",
     )
-    streamer = ExecuteProcess(cmd=[command, "stream", targets], name="streamer", output="screen")
+    streamer = ExecuteProcess(cmd=[command, "stream", targets, "--patience", "60"], name="streamer", output="screen")
     end = RegisterEventHandler(
         OnProcessExit(target_action=streamer, on_exit=[EmitEvent(event=Shutdown(reason="all targets sent"))])
     )
