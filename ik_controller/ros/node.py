@@ -63,6 +63,7 @@ class ControllerNode(Node):  # type: ignore[misc]
         self._events: deque[str] = deque()
         self._recorder_change: deque[RunWriter | None] = deque()
         self._stop = False
+        self._stop_by: int | None = None  # when braking at shutdown has taken too long [ns]
         self._loop: Loop | None = None
         self._recorder: RunWriter | None = None
         self._urdf = urdf_text(self.parameters)
@@ -251,9 +252,10 @@ class ControllerNode(Node):  # type: ignore[misc]
 
     def _brake(self, now: int) -> None:
         """Shut down as a pause: the arm brakes within its limits, then the session has nothing more to command."""
+        if self._stop_by is None:
+            self._stop_by = now + int(_STOP_TIME * 1e9)
         if not self.session.paused:
             self._apply(json.dumps({"do": "pause"}), now)
-            self._stop_by = now + int(_STOP_TIME * 1e9)
         elif now > self._stop_by and self._loop is not None:
             self._loop.stop = True
 
