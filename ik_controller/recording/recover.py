@@ -172,7 +172,7 @@ def _copy(source: McapFile, stream: BinaryIO, writer: SegmentWriter) -> int:
                 channel_id, sequence, log_time, publish_time = _LOOSE_HEAD.unpack_from(content)
                 if channel_id not in source.channels:
                     raise ValueError("a message of an unknown channel")
-                loose.add(channel_id, sequence, log_time, content[_LOOSE_HEAD.size :], publish_time)
+                loose.add(channel_id, sequence, log_time, publish_time, content[_LOOSE_HEAD.size :])
             elif opcode == Opcode.CHUNK:
                 chunk = parse(Chunk, content)
                 writer.add_packed_chunk(chunk, _entries(decompress(chunk), source))

@@ -11,7 +11,7 @@ import datetime
 import json
 import textwrap
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ik_controller.errors import BagError, choices
@@ -67,12 +67,14 @@ class TopicMetadata:
 
 @dataclass(frozen=True)
 class FileMetadata:
-    """One file in metadata.yaml: its name and the log times [ns] of its first and last message by time."""
+    """One file of a bag: name, earliest and latest log time [ns], messages, messages by channel id, bytes."""
 
     name: str
     start: int
     end: int
     count: int
+    counts: Mapping[int, int] = field(default_factory=dict)
+    size: int = 0
 
 
 def new_bag_folder(parent: Path, prefix: str = "run") -> Path:
