@@ -16,12 +16,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ik_controller.control.kernel import carried_on
 from ik_controller.control.reference import Reference
 from ik_controller.control.segment import Segment
 from ik_controller.parameters import ControllerParameters
 
 Array = NDArray[np.float64]
 
+_NO_CHANGE = np.zeros(6)
 _KEPT = 64  # samples of a stream; more only where the delay of interpolation reaches further back, up to
 _MOST = 4096
 
@@ -87,6 +89,8 @@ class Targets:
             self._restart()
         time = self._own_time("twist", stamp, arrival)
         stamp = stamp or arrival
+        if self._twists and self._twists[-1][1] == stamp:
+            self._twists.pop()  # a repeated stamp: the later message counts
         self._twists.append((time, stamp, twist))
         del self._twists[:-_KEPT]
         self._acceleration = self._estimate_acceleration()
@@ -203,14 +207,9 @@ class Targets:
         if twist is None:
             return Reference(sample.position, sample.rotation, np.zeros(6))
         ahead = (time - sample.time) * 1e-9
-        acceleration = self._acceleration if ahead > 0.0 else None
-        if acceleration is None:
-            change = ahead * twist
-        else:
-            change = ahead * twist + (0.5 * ahead * ahead) * acceleration
-            twist = twist + (ahead + 0.5 * dt) * acceleration
-        rotation = pin.exp3(change[3:]) @ sample.rotation
-        return Reference(sample.position + change[:3], rotation, twist)
+        rate = self._acceleration if self._acceleration is not None and ahead > 0.0 else _NO_CHANGE
+        way, mean = carried_on(twist, rate, ahead, dt)
+        return Reference(sample.position + way[:3], pin.exp3(way[3:]).dot(sample.rotation), mean)
 
     def _twist_of(self, sample: _Sample) -> Array | None:
         """Return the sample's twist, or while that is still on its way, the last one if fresh."""
