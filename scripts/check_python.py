@@ -22,7 +22,8 @@ def problem():
         except ImportError as error:
             return (
                 "ROS_DISTRO is %s, but Python %s cannot import its rclpy (%s); source its setup.bash and take its "
-                "Python (make PYTHON=/usr/bin/python3), or unset ROS_DISTRO for the wheels" % (distro, version, error)
+                "Python (make PYTHON=/usr/bin/python3), or unset ROS_DISTRO for the wheels"
+                % (distro, version, str(error).splitlines()[0])
             )
     return ""
 
