@@ -33,7 +33,7 @@ setup(
         *share_files("config", "bags", "launch"),
     ],
     python_requires=">=3.10,<3.14",
-    # Lower bounds only: what the tests ran with is pinned in requirements.txt.
+    # Lower bounds only; what the tests ran with is pinned in requirements.txt.
     install_requires=[
         "numpy>=1.26",
         "pin>=3.4",
@@ -46,7 +46,7 @@ setup(
         "daqp>=0.7",
     ],
     extras_require={
-        "fast": ["numba>=0.60"],
+        "fast": ["numba>=0.60", "scipy>=1.11"],
         "ros": ["ros-jazzy-rclpy", "ros-jazzy-common-interfaces", "ros-jazzy-rmw-fastrtps-cpp"],
         "test": ["pytest", "hypothesis", "mcap-ros2-support", "example-robot-data"],
     },
