@@ -24,6 +24,9 @@ from ik_controller.parameters import ControllerParameters, gain_matrix
 
 Array = NDArray[np.float64]
 
+_ZERO = np.zeros(6)
+_NO_POSE = np.zeros(3), np.eye(3)
+
 
 @dataclass
 class Step:
@@ -113,7 +116,7 @@ class Controller:
         if self._fresh:
             self._fresh = False
             code = Code.HOLDING if reference is None else Code.TRACKING
-            error = np.zeros(6) if reference is None else self._law.observe(reference, q)
+            error = np.zeros(6) if reference is None else self._law.observe(reference, q)[0]
             return Step(q, v, error, Status(code))
 
         base, limits = self.parameters.integration_base, self._limits
@@ -130,32 +133,42 @@ class Controller:
     # -- the three ways to move
 
     def _follow_tool(self, reference: Reference, at: Array, dt: float, bounds: Array) -> Step:
-        law, limits, inverse = self._law, self._limits, self._law.inverse
-        wanted, reach, fits = tool_cycle(
-            *law.prepare(reference, at, self._v, dt),
+        law, limits = self._law, self._limits
+        has_pose = reference.position is not None
+        measure = has_pose and law.exponential
+        error, feedback = (_ZERO, _ZERO) if measure or not has_pose else law.observe(reference, at)
+        use_twist = reference.twist is not None and (law.feed_forward or not has_pose)
+        wanted, position, reach, fits, exponential, sigma = tool_cycle(
+            law.chain,
+            at,
+            (reference.position, reference.rotation) if measure else _NO_POSE,
+            measure,
+            feedback,
+            reference.twist if use_twist else _ZERO,
+            law.constants,
             self._q,
             self._v,
             dt,
-            bounds,
-            limits.velocity_twice,
-            limits.acceleration_twice,
+            (bounds, limits.velocity_twice, limits.acceleration_twice),
+            law.work,
         )
+        if measure:
+            error = exponential
+        damped = sigma < law.threshold
         if limits.reserve:
             reach = limits.stop_in_time(reach, self._q, self._v, dt)
             fits = bool((np.concatenate((wanted, -wanted)) <= reach).all())
-        sigma, damped = inverse.smallest_singular_value, inverse.damped
         if fits:
-            return self._commit(wanted, dt, law.error, Status(Code.TRACKING, 1.0, Limit.NONE, -1, damped, sigma))
+            self._q, self._v = position, wanted
+            return Step(position, wanted, error, Status(Code.TRACKING, 1.0, Limit.NONE, -1, damped, sigma))
         limits.take(reach)
         if not math.isfinite(wanted.dot(wanted)):
             return self._stop(dt, Code.HOLDING)
-        velocity, scale, _ = bounded_velocity(
-            wanted, law.jacobian, inverse.eigenvalues, inverse.directions, limits.low, limits.high, limits.velocity
-        )
+        velocity, scale, _ = bounded_velocity(wanted, *law.work, limits.low, limits.high, limits.velocity)
         beyond = np.fmax(wanted - limits.high, limits.low - wanted)
         joint = int(np.argmax(beyond / limits.velocity))
         limit = limits.which(joint, wanted.item(joint), self._v, dt)
-        return self._commit(velocity, dt, law.error, Status(Code.TRACKING, scale, limit, joint, damped, sigma))
+        return self._commit(velocity, dt, error, Status(Code.TRACKING, scale, limit, joint, damped, sigma))
 
     def _follow_joints(self, reference: Reference, dt: float) -> Step:
         """Joint-space target: q̇ = q̇_d + K (q_d − q), slowed as one where a joint must brake or is at a limit."""

@@ -7,11 +7,15 @@ n joints; J (6, n); arrays are float64. The formulas are explained where they be
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.kinematics.accelerate import compiled
+from ik_controller.kinematics.damped_inverse import apply_inverse, damping_factors
+from ik_controller.kinematics.levenberg_marquardt import kinematics, rotation_log
+from ik_controller.kinematics.small import gram, spectrum, times
 
 Array = NDArray[np.float64]
 
@@ -37,12 +41,6 @@ def velocity_interval(q: Array, v: Array, dt: float, bounds: Array, velocity: Ar
     # Acceleration comes last: it always holds; the others do as long as they held before (or shrink to it).
     step = acceleration * dt
     return np.minimum(np.maximum(reach, speed - step), speed + step)
-
-
-@compiled
-def apply_inverse(jacobian: Array, directions: Array, factors: Array, twist: Array) -> Array:
-    """Return J⁺ x (n,) = Jᵀ U diag(f) Uᵀ x for a twist x (6,)."""
-    return np.dot(jacobian.T, np.dot(directions, factors * np.dot(directions.T, twist)))
 
 
 @compiled
@@ -75,30 +73,58 @@ def task_velocity(
     haste = max(np.max(np.abs(feedback[:3])) / FASTEST_APPROACH, np.max(np.abs(feedback[3:])) / FASTEST_TURN, 1.0)
     approach = apply_inverse(jacobian, directions, factors, feedback / haste)
     null = seek / max(np.max(np.abs(seek) / seek_limit), 1.0)
-    steady = null + apply_inverse(jacobian, directions, factors, feed_forward - np.dot(jacobian, null))
+    steady = null + apply_inverse(jacobian, directions, factors, feed_forward - times(jacobian, null))
     return steady + braking_factor(approach, fastest, braking) * approach
 
 
 @compiled
 def tool_cycle(
-    jacobian: Array,
-    directions: Array,
-    factors: Array,
-    feed_forward: Array,
+    chain: Any,
+    at: Array,
+    pose: tuple[Array, Array],
+    measure: bool,
     feedback: Array,
-    fastest: float,
-    braking: Array,
-    seek: Array,
-    seek_limit: Array,
+    feed_forward: Array,
+    law: tuple[Array, float, Array, Array, float, Array, float, float],
     q: Array,
     v: Array,
     dt: float,
-    bounds: Array,
-    velocity: Array,
-    acceleration: Array,
-) -> tuple[Array, Array, bool]:
-    """Return (wanted (n,), reach (2n,), fits): `task_velocity`, `velocity_interval`, and whether the one is in the other."""
-    wanted = task_velocity(jacobian, directions, factors, feed_forward, feedback, fastest, braking, seek, seek_limit)
-    reach = velocity_interval(q, v, dt, bounds, velocity, acceleration)
+    limits: tuple[Array, Array, Array],
+    work: tuple[Array, Array, Array],
+) -> tuple[Array, Array, Array, bool, Array, float]:
+    """Return (wanted (n,), position (n,), reach (2n,), fits, error (6,), σ_min) of one cycle towards a tool reference.
+
+    `wanted` is the law's velocity, `position` where it leads to, `reach` the `velocity_interval`, `fits` whether the one
+    is in the other. `chain` as `kinematics` takes it; `at` (n,): where e and J are taken; `pose` (position (3,), rotation
+    (3, 3)) of the reference; `feedback` K e (6,), worked out here with the exponential error instead where `measure`;
+    `law`: K (6, 6), its largest eigenvalue, braking accelerations (n,), posture (n,), its gain, seek limits (n,), λ, ε;
+    `limits`: bounds, velocities, accelerations, (2n,) each; `work` is overwritten: J (6, n), eigenvalues (6,) and
+    directions (6, 6) of J Jᵀ.
+    """
+    gain, fastest, braking, posture, posture_gain, seek_limit, damping, threshold = law
+    jacobian, eigenvalues, directions = work
+    rotation, position = np.empty((3, 3)), np.empty(3)
+    error = np.zeros(6)
+    if measure:
+        kinematics(chain, at, rotation, position, jacobian)
+        error[:3] = pose[0] - position
+        rotation_log(pose[1], rotation, error[3:])
+        feedback = times(gain, error)
+    kinematics(chain, at + (0.5 * dt) * v, rotation, position, jacobian)
+    values, vectors = spectrum(gram(jacobian))
+    eigenvalues[:] = values
+    directions[:] = vectors
+    factors = damping_factors(values, damping, threshold)
+    seek = posture_gain * (posture - at)
+    wanted = task_velocity(jacobian, vectors, factors, feed_forward, feedback, fastest, braking, seek, seek_limit)
+    reach = velocity_interval(q, v, dt, limits[0], limits[1], limits[2])
     fits = np.all(np.concatenate((wanted, -wanted)) <= reach)
-    return wanted, reach, bool(fits)
+    return wanted, q + dt * wanted, reach, bool(fits), error, math.sqrt(max(values[0], 0.0))
+
+
+@compiled
+def carried_on(twist: Array, rate: Array, ahead: float, dt: float) -> tuple[Array, Array]:
+    """Return (way (6,), twist (6,)): how far a twist that changes at `rate` leads in `ahead` [s], and its mean over the
+    next dt [s].
+    """
+    return ahead * twist + (0.5 * ahead * ahead) * rate, twist + (ahead + 0.5 * dt) * rate

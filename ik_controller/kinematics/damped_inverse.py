@@ -11,19 +11,35 @@ One symmetric 6×6 eigenvalue problem serves m = n, m < n and m > n, and gives t
 from __future__ import annotations
 
 import math
-from typing import Any
-
-import eigenpy
 import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.errors import ArgumentError
+from ik_controller.kinematics.accelerate import compiled
+from ik_controller.kinematics.small import gram, spectrum, times, transposed_times
 
 Array = NDArray[np.float64]
 
 # (σ/σ_max)² below which a direction is out of reach (more rows than columns, or singular): round-off is no velocity.
 _OUT_OF_REACH = 1e-14
 _TINY = 1e-300  # keeps 1/σ² finite for J = 0
+
+
+@compiled
+def damping_factors(eigenvalues: Array, damping: float, threshold: float) -> Array:
+    """Return 1/(σᵢ² + λᵢ²) (m,) for the eigenvalues σᵢ² (m,), ascending, of J Jᵀ; 0 for a direction out of reach."""
+    weak = threshold * threshold
+    if eigenvalues[0] >= weak:
+        return 1.0 / eigenvalues
+    values = np.maximum(eigenvalues, _TINY)
+    factors = 1.0 / (values + damping * damping * np.maximum(1.0 - values / weak, 0.0))
+    return np.where(eigenvalues > _OUT_OF_REACH * eigenvalues[-1], factors, 0.0)
+
+
+@compiled
+def apply_inverse(jacobian: Array, directions: Array, factors: Array, twist: Array) -> Array:
+    """Return J⁺ x (n,) = Jᵀ U diag(f) Uᵀ x for a twist x (m,)."""
+    return transposed_times(jacobian, times(directions, factors * transposed_times(directions, twist)))
 
 
 class DampedInverse:
@@ -33,10 +49,8 @@ class DampedInverse:
         """`rows` m of J; `damping` λ and `threshold` ε as in the module's docstring. Raises ArgumentError if negative."""
         if damping < 0.0 or threshold < 0.0:
             raise ArgumentError(f"damping {damping} and threshold {threshold} must be ≥ 0")
-        self._damping2 = damping * damping
-        self._threshold2 = threshold * threshold
-        self._gram = np.empty((rows, rows))
-        self._solver: Any = eigenpy.SelfAdjointEigenSolver(rows)
+        self._damping = damping
+        self._threshold = threshold
         self._jacobian: Array = np.zeros((rows, 1))
         self.eigenvalues: Array = np.ones(rows)  # σᵢ², ascending
         self.directions: Array = np.eye(rows)  # column i: the task direction of σᵢ
@@ -46,19 +60,9 @@ class DampedInverse:
     def factor(self, jacobian: Array) -> None:
         """Take J (m, n); the array must stay unchanged until the last `apply`."""
         self._jacobian = jacobian
-        np.dot(jacobian, jacobian.T, out=self._gram)
-        self._solver.compute(self._gram)
-        values: Array = self._solver.eigenvalues()
-        self.eigenvalues = values
-        self.directions = self._solver.eigenvectors()
-        self.damped = values.item(0) < self._threshold2
-        if self.damped:
-            reach = values > _OUT_OF_REACH * values.item(-1)
-            values = np.maximum(values, _TINY)
-            weak = np.maximum(1.0 - values / self._threshold2, 0.0)
-            self.factors = reach / (values + self._damping2 * weak)
-        else:
-            self.factors = 1.0 / values
+        self.eigenvalues, self.directions = spectrum(gram(jacobian))
+        self.damped = self.eigenvalues.item(0) < self._threshold * self._threshold
+        self.factors = damping_factors(self.eigenvalues, self._damping, self._threshold)
 
     def apply(self, velocity: Array) -> Array:
         """Return J⁺ v (n,) or (n, k) for v (m,) or (m, k), damped near singularities."""

@@ -174,8 +174,8 @@ def replay(
             result.commands += 1
             if data != cycle.recorded:
                 _note_difference(result, cycle, encode)
-        if step is not None:
-            _add_error(result.errors, step)
+        if step is not None and step.status.code is Code.TRACKING:
+            result.errors.add(step.error)
         if writer is not None:
             if data is not None:
                 writer.write("joint_commands", cycle.time, data)
@@ -204,12 +204,6 @@ def _note_difference(result: Replay, cycle: Cycle, encode: cdr.JointStateWriter)
         result.max_difference = float("inf")
         return
     result.max_difference = max(result.max_difference, float(np.abs(cycle.step.position - recorded).max()))
-
-
-def _add_error(errors: ErrorStatistics, step: Step) -> None:
-    # Only a pose reference leaves an error behind; exactly zero means that there was none.
-    if step.status.code is Code.TRACKING and step.error.any():
-        errors.add(step.error)
 
 
 def _wait_for(writer: RunWriter) -> None:
@@ -255,7 +249,8 @@ def _run_foreign(bag: BagReader, parameters: ControllerParameters, output: Path 
         step = session.cycle(now)
         if step is not None:
             arm.command(step.position)
-            _add_error(result.errors, step)
+            if step.status.code is Code.TRACKING:
+                result.errors.add(step.error)
             result.commands += 1
         arm.advance(session.dt)
         if writer is not None:

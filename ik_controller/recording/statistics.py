@@ -19,13 +19,18 @@ class ErrorStatistics:
         self._largest = [0.0, 0.0]
 
     def add(self, error: Array) -> None:
-        """Take one cycle's error."""
+        """Take one cycle's error; one that is exactly zero means that there was no pose to follow, and is left out."""
+        x, y, z, a, b, c = error.tolist()  # plain floats: six numbers are too few for NumPy
+        position, rotation = x * x + y * y + z * z, a * a + b * b + c * c
+        if position == 0.0 and rotation == 0.0:
+            return
         self.count += 1
-        for part, values in enumerate((error[:3], error[3:])):
-            square = float(values.dot(values))
-            self._squares[part] += square
-            if square > self._largest[part]:
-                self._largest[part] = square
+        self._squares[0] += position
+        self._squares[1] += rotation
+        if position > self._largest[0]:
+            self._largest[0] = position
+        if rotation > self._largest[1]:
+            self._largest[1] = rotation
 
     def as_mapping(self) -> dict[str, float | None]:
         """Return position_rms_m, position_max_m, orientation_rms_rad, orientation_max_rad; None without any error."""

@@ -25,12 +25,12 @@ class Loop:
         self.stop = False
         self.missed = 0  # cycles that began after the next one was due
         self.stalls = 0
-        self._cycle = cycle
+        self.cycle = cycle
         self._on_stall = on_stall
 
     def run(self) -> None:
         """Run until `stop`."""
-        period, cycle = self.period, self._cycle
+        period, cycle = self.period, self.cycle
         monotonic, sleep = time.monotonic_ns, time.sleep
         check_every = max(round(_CHECK * 1e9 / period), 1)
         start = monotonic()

@@ -22,21 +22,21 @@ _WINDOW = 1000  # cycles that the period's percentiles are taken over
 class Timing:
     """Start times of the last cycles, for the period's percentiles."""
 
-    def __init__(self, period: int) -> None:
-        self._starts = np.zeros(_WINDOW, dtype=np.int64)
+    def __init__(self, period: int, window: int = _WINDOW) -> None:
+        self._starts = np.zeros(window, dtype=np.int64)
         self._period = period
         self._count = 0
 
     def add(self, start: int) -> None:
         """Note when a cycle really started [ns]."""
-        self._starts[self._count % _WINDOW] = start
+        self._starts[self._count % len(self._starts)] = start
         self._count += 1
 
     def percentiles(self) -> tuple[float, float]:
         """Return the median and the 99th percentile of the period [µs]."""
         if self._count < 3:
             return self._period * 1e-3, self._period * 1e-3
-        starts = np.sort(self._starts[: min(self._count, _WINDOW)])
+        starts = np.sort(self._starts[: min(self._count, len(self._starts))])
         median, high = np.percentile(np.diff(starts), (50, 99)) * 1e-3
         return float(median), float(high)
 

@@ -1,0 +1,131 @@
+"""Small dense linear algebra for the inner loops: 6×6 eigenvalues and products of a few rows.
+
+Compiled, loops over a handful of numbers beat any library call; without Numba the same names are NumPy's and Eigen's.
+"""
+
+from __future__ import annotations
+
+import math
+
+import eigenpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ik_controller.kinematics.accelerate import HAS_NUMBA, compiled
+
+Array = NDArray[np.float64]
+
+_SWEEPS = 30  # Jacobi converges quadratically: six or seven are usual
+
+
+@compiled
+def jacobi_spectrum(matrix: Array) -> tuple[Array, Array]:
+    """Return (eigenvalues (m,) ascending, eigenvectors (m, m) in columns) of a symmetric matrix (m, m), which is kept.
+
+    Cyclic Jacobi rotations (Golub and Van Loan, 8.5): short, and small eigenvalues come out as well as large ones.
+    """
+    m = matrix.shape[0]
+    a = matrix.copy()
+    u = np.eye(m)
+    for _ in range(_SWEEPS):
+        off, on = 0.0, 0.0
+        for i in range(m):
+            on += a[i, i] * a[i, i]
+            for j in range(i + 1, m):
+                off += a[i, j] * a[i, j]
+        if off <= 1e-34 * on:
+            break
+        for p in range(m - 1):
+            for q in range(p + 1, m):
+                if a[p, q] == 0.0:
+                    continue
+                theta = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
+                t = 1.0 / (abs(theta) + math.sqrt(theta * theta + 1.0))
+                if theta < 0.0:
+                    t = -t
+                c = 1.0 / math.sqrt(t * t + 1.0)
+                s = t * c
+                for k in range(m):
+                    left, right = a[k, p], a[k, q]
+                    a[k, p], a[k, q] = c * left - s * right, s * left + c * right
+                for k in range(m):
+                    left, right = a[p, k], a[q, k]
+                    a[p, k], a[q, k] = c * left - s * right, s * left + c * right
+                    left, right = u[k, p], u[k, q]
+                    u[k, p], u[k, q] = c * left - s * right, s * left + c * right
+    values = np.empty(m)
+    for i in range(m):
+        values[i] = a[i, i]
+    for i in range(m - 1):  # a handful of values: sorted by selection
+        low = i
+        for j in range(i + 1, m):
+            if values[j] < values[low]:
+                low = j
+        if low != i:
+            values[i], values[low] = values[low], values[i]
+            for k in range(m):
+                u[k, i], u[k, low] = u[k, low], u[k, i]
+    return values, u
+
+
+@compiled
+def loop_times(matrix: Array, vector: Array) -> Array:
+    """Return matrix (m, n) times vector (n,)."""
+    m, n = matrix.shape
+    result = np.empty(m)
+    for i in range(m):
+        total = 0.0
+        for j in range(n):
+            total += matrix[i, j] * vector[j]
+        result[i] = total
+    return result
+
+
+@compiled
+def loop_transposed_times(matrix: Array, vector: Array) -> Array:
+    """Return the transpose of matrix (m, n) times vector (m,)."""
+    m, n = matrix.shape
+    result = np.zeros(n)
+    for i in range(m):
+        for j in range(n):
+            result[j] += matrix[i, j] * vector[i]
+    return result
+
+
+@compiled
+def loop_gram(matrix: Array) -> Array:
+    """Return M Mᵀ (m, m) of a matrix (m, n)."""
+    m, n = matrix.shape
+    result = np.empty((m, m))
+    for i in range(m):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(n):
+                total += matrix[i, k] * matrix[j, k]
+            result[i, j] = total
+            result[j, i] = total
+    return result
+
+
+def eigen_spectrum(matrix: Array) -> tuple[Array, Array]:
+    """Return the same as `jacobi_spectrum`, by Eigen."""
+    solver = eigenpy.SelfAdjointEigenSolver(matrix)
+    return solver.eigenvalues(), solver.eigenvectors()
+
+
+def numpy_transposed_times(matrix: Array, vector: Array) -> Array:
+    """Return the same as `loop_transposed_times`, by NumPy."""
+    result: Array = matrix.T.dot(vector)
+    return result
+
+
+def numpy_gram(matrix: Array) -> Array:
+    """Return the same as `loop_gram`, by NumPy."""
+    result: Array = matrix.dot(matrix.T)
+    return result
+
+
+if HAS_NUMBA:
+    spectrum, times, transposed_times, gram = jacobi_spectrum, loop_times, loop_transposed_times, loop_gram
+else:
+    spectrum, times, transposed_times, gram = eigen_spectrum, np.dot, numpy_transposed_times, numpy_gram  # type: ignore[assignment]

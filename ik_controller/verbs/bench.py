@@ -1,0 +1,246 @@
+"""`ik_controller bench`: what a step, a replayed cycle and the node cost, each as a ratio to something timed beside it."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from ik_controller.errors import IkControllerError
+from ik_controller.verbs.common import add_json_argument, print_json, print_table
+
+HELP = "measure step, replay and node, each beside a yardstick on this machine"
+
+_BATCH = 20  # calls between two looks at the clock
+_ROUNDS = 150
+_TICKS = os.sysconf("SC_CLK_TCK")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    parser.add_argument("--no-ros", action="store_true", help="leave out what needs processes over DDS")
+    parser.add_argument("--seconds", type=float, default=10.0, metavar="S", help="length of the node's run (10)")
+    add_json_argument(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure and print the rows."""
+    rows = [*_steps(), *_replay()]
+    if not arguments.no_ros:
+        rows += _node(arguments.seconds)
+    if arguments.json:
+        print_json(rows)
+        return 0
+    table = [(r["name"], _number(r["median_us"]), _number(r["p99_us"]), f"{r['ratio']:.3f}", r["beside"]) for r in rows]
+    print_table(table, ("name", "median µs", "p99 µs", "ratio", "beside"))
+    return 0
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.1f}"
+
+
+def _row(name: str, ours: list[float], theirs: list[float], beside: str) -> dict[str, Any]:
+    ratios = [a / b for a, b in zip(ours, theirs, strict=True)]
+    high = sorted(ours)[int(0.99 * (len(ours) - 1))]
+    return {
+        "name": name,
+        "median_us": statistics.median(ours),
+        "p99_us": high,
+        "ratio": statistics.median(ratios),
+        "beside": beside,
+    }
+
+
+def _side_by_side(ours: Callable[[], object], theirs: Callable[[], object]) -> tuple[list[float], list[float]]:
+    """Return [µs] a call of both, in batches that take turns, so that a slow moment of the machine hits both."""
+    times: tuple[list[float], list[float]] = ([], [])
+    for _ in range(_ROUNDS):
+        for function, found in zip((ours, theirs), times, strict=True):
+            start = time.perf_counter()
+            for _ in range(_BATCH):
+                function()
+            found.append((time.perf_counter() - start) / _BATCH * 1e6)
+    return times
+
+
+def _steps() -> list[dict[str, Any]]:
+    """Time one step on the 7-joint arm beside the step of a textbook in NumPy."""
+    import numpy as np
+    import pinocchio as pin
+
+    from ik_controller import Controller, Reference
+    from ik_controller.robots import build_model, bundled_parameters
+
+    parameters = bundled_parameters("panda")
+    model = build_model(parameters)
+    posture = np.array(parameters.posture)
+    start = model.forward(posture)
+    dt = 1e-3
+
+    def figure(k: int) -> Any:
+        phase = k * dt
+        turn = pin.exp3(np.array((0.2 * np.sin(phase), 0.0, 0.0)))
+        offset = np.array((0.0, 0.15 * np.sin(phase), 0.07 * np.sin(2.0 * phase)))
+        return pin.SE3(turn @ start.rotation, start.translation + offset)
+
+    count = 2 * _BATCH * _ROUNDS
+    references = [Reference.between(figure(k), figure(k + 1), dt) for k in range(count)]
+    poses = [pin.SE3(reference.rotation, reference.position) for reference in references]
+    data = model.pin_model.createData()
+
+    def stepper(controller: Controller) -> Callable[[], object]:
+        controller.reset(posture)
+        position = posture
+        upcoming = iter(references * 2)
+
+        def step() -> None:
+            nonlocal position
+            position = controller.step(position, next(upcoming), dt).position
+
+        return step
+
+    def textbook() -> Callable[[], object]:
+        q = posture
+        upcoming = iter(zip(references * 4, poses * 4, strict=True))
+
+        def step() -> None:
+            nonlocal q
+            reference, pose = next(upcoming)
+            pin.computeJointJacobians(model.pin_model, data, q)
+            pin.updateFramePlacement(model.pin_model, data, model.tool_id)
+            jacobian = pin.getFrameJacobian(model.pin_model, data, model.tool_id, pin.LOCAL_WORLD_ALIGNED)
+            tool = data.oMf[model.tool_id]
+            turn = pin.log3(pose.rotation @ tool.rotation.T)
+            error = np.concatenate((pose.translation - tool.translation, turn))
+            inverse = np.linalg.pinv(jacobian)
+            null = (np.eye(model.n) - inverse @ jacobian) @ (posture - q)
+            velocity = inverse @ (reference.twist + 50.0 * error) + null
+            velocity = np.clip(velocity, -model.velocity_limit, model.velocity_limit)
+            q = np.clip(q + dt * velocity, model.lower, model.upper)
+
+        return step
+
+    slow = parameters.replace({"velocity_scale": 0.02})
+    rows = []
+    for name, settings in (("step, limits idle", parameters), ("step, limits saturated", slow)):
+        ours, theirs = stepper(Controller(model, settings)), textbook()
+        for _ in range(200):
+            ours(), theirs()
+        rows.append(_row(name, *_side_by_side(ours, theirs), "textbook NumPy step"))
+    return rows
+
+
+def _replay() -> list[dict[str, Any]]:
+    """Time the replay of a 1 kHz run a cycle; the ratio is to real time, its inverse the speed."""
+    from ik_controller.recording.reader import open_bag
+    from ik_controller.recording.replay import replay
+    from ik_controller.robots import bundled_parameters
+    from ik_controller.share import bag_folder
+
+    with tempfile.TemporaryDirectory() as folder:
+        run_bag = Path(folder) / "run"
+        replay(open_bag(bag_folder("panda_figure_eight")), robot=bundled_parameters("panda"), output=run_bag)
+        times = []
+        for _ in range(5):
+            result = replay(open_bag(run_bag))
+            times.append(result.elapsed / result.cycles * 1e6)
+    return [_row("replay, a cycle", times, [1000.0] * len(times), "1 kHz real time")]
+
+
+def _node(seconds: float) -> list[dict[str, Any]]:
+    """Run sim, node, relay and sleep loop at once; compare processor time and the period's 99th percentile."""
+    environment = dict(os.environ)
+    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    environment.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 100)))
+    module = [sys.executable, "-m"]
+    with tempfile.TemporaryDirectory() as folder:
+        settings = ["-p", "robot:=panda", "-p", f"record_folder:={folder}"]
+        commands = {
+            "sim": [*module, "ik_controller.cli", "sim"],
+            "node": [*module, "ik_controller.ros.node", "--ros-args", *settings],
+            "relay": [*module, "ik_controller.ros.baseline", "relay"],
+            "sleep": [*module, "ik_controller.ros.baseline", "sleep"],
+            "stream": [*module, "ik_controller.cli", "stream", str(_targets()), "--loop", "--patience", "30"],
+        }
+        processes = {
+            name: subprocess.Popen(
+                command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL
+            )
+            for name, command in commands.items()
+        }
+        try:
+            time.sleep(6.0)  # until all have started and found each other
+            before = {name: _processor_time(process.pid) for name, process in processes.items()}
+            time.sleep(seconds)
+            used = {name: _processor_time(process.pid) - before[name] for name, process in processes.items()}
+            outputs = {}
+            for name in ("stream", "node", "relay", "sleep", "sim"):
+                processes[name].send_signal(signal.SIGTERM)
+                outputs[name], _ = processes[name].communicate(timeout=30.0)
+        finally:
+            for process in processes.values():
+                if process.poll() is None:
+                    process.kill()
+                    process.wait()
+        node_p99 = _node_period(Path(folder), seconds)
+    sleep_p99 = json.loads(outputs["sleep"])["period_p99_us"]
+    cycles = seconds * 1000.0
+    return [
+        {
+            "name": "node with recording, processor time a cycle",
+            "median_us": used["node"] / cycles * 1e6,
+            "p99_us": None,
+            "ratio": used["node"] / used["relay"],
+            "beside": f"bare polled relay ({used['relay'] / cycles * 1e6:.0f} µs)",
+        },
+        {
+            "name": "node's period",
+            "median_us": 1000.0,
+            "p99_us": node_p99,
+            "ratio": node_p99 / sleep_p99,
+            "beside": f"p99 of a bare sleep loop ({sleep_p99:.0f} µs)",
+        },
+    ]
+
+
+def _targets() -> Path:
+    from ik_controller.share import bag_folder
+
+    return bag_folder("panda_figure_eight")
+
+
+def _processor_time(pid: int) -> float:
+    """Return the user and system time [s] of a process, threads included."""
+    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / _TICKS
+
+
+def _node_period(folder: Path, seconds: float) -> float:
+    """Return the 99th percentile [µs] of the node's period over the last `seconds` of its bag."""
+    import numpy as np
+
+    from ik_controller.messages.cdr import decode_cycle
+    from ik_controller.recording.reader import open_bag
+    from ik_controller.recording.run import RunInfo
+
+    bags = sorted(path for path in folder.iterdir() if path.is_dir())
+    if not bags:
+        raise IkControllerError("the node recorded nothing: is rclpy installed?")
+    bag = open_bag(bags[0])
+    info = RunInfo.of(bag)
+    if info is None:
+        raise IkControllerError(f"bag '{bags[0]}' holds no run")
+    records = [decode_cycle(message.data) for message in bag.messages([info.topics["cycle"]])]
+    starts = np.array([record[1] + record[3] for record in records[-int(1000.0 * seconds) :]])
+    return float(np.percentile(np.diff(starts), 99) * 1e-3)
