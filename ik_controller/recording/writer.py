@@ -242,8 +242,7 @@ class BagWriter:
 
     def _drain(self) -> int:
         """Pack a slice of the queue into the chunk; return how many."""
-        pop = self._queue.popleft
-        items = [pop() for _ in range(min(_SLICE, len(self._queue)))]
+        items = [self._queue.popleft() for _ in range(min(_SLICE, len(self._queue)))]
         begin = 0
         if self._metadata_in > self._metadata_out:
             for place, item in enumerate(items):
@@ -305,8 +304,7 @@ class BagWriter:
 
     def _add_channels(self, segment: SegmentWriter) -> None:
         """Tell the segment the channels that came since it was opened."""
-        while self._known < len(self._channels):
-            channel = self._channels[self._known]
+        for channel in self._channels[self._known :]:
             segment.add_topic(channel.id, channel.topic, channel.schema, channel.qos)
             self._known += 1
 
