@@ -166,7 +166,7 @@ def test_disk_that_stays_full_loses_what_it_says(small_disk: Path) -> None:
     assert "No space left" in custom[f"{RECORDER_METADATA}.reason"]
 
 
-def test_space_that_returns_late_leaves_one_gap_of_the_reported_size(small_disk: Path) -> None:
+def test_space_that_returns_late_leaves_gaps_of_the_reported_size(small_disk: Path) -> None:
     ballast = small_disk / "ballast"
     ballast.write_bytes(bytes(1_500_000))
     writer = BagWriter(small_disk / "bag", flush_interval=0.01, queue_bytes=100_000)
@@ -182,7 +182,7 @@ def test_space_that_returns_late_leaves_one_gap_of_the_reported_size(small_disk:
     bag = open_bag(small_disk / "bag")
     found = [m.sequence for m in bag.messages()]
     gaps = [b - a - 1 for a, b in itertools.pairwise(found) if b != a + 1]
-    assert gaps == [status.lost]
+    assert sum(gaps) == status.lost > 0
     assert found[-1] == number + 1
     assert bag.metadata(RECORDER_METADATA)["lost"] == str(status.lost)
     with (small_disk / "bag" / "bag_1.mcap").open("rb") as file:
