@@ -1,0 +1,321 @@
+"""A rig for tests over real DDS: processes in a domain of their own, and a client that listens, sends and calls.
+
+Every rig takes the next ROS domain, counted on from this process' id, so that neither two rigs nor two test runs on one
+machine hear each other. Waiting is for a condition with a deadline, never for a time.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from rcl_interfaces.msg import Parameter, SetParametersResult
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+from std_srvs.srv import SetBool, Trigger
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from ik_controller.recording.target_bag import write_targets
+from ik_controller.robots import build_model, bundled_parameters
+
+os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+ROOT = Path(__file__).resolve().parents[2]
+PATIENCE = 60.0  # [s] before anything that should happen is taken for not happening
+_DOMAINS = itertools.count(os.getpid())
+
+NODE = [sys.executable, "-m", "ik_controller.ros.node"]
+CLI = [sys.executable, "-m", "ik_controller.cli"]
+
+HEARD = {
+    "joint_commands": (JointState, "/joint_commands"),
+    "joint_states": (JointState, "/joint_states"),
+    "current_pose": (PoseStamped, "/ik_controller/current_pose"),
+    "tracking_error": (TwistStamped, "/ik_controller/tracking_error"),
+    "status": (DiagnosticStatus, "/ik_controller/status"),
+    "diagnostics": (DiagnosticArray, "/diagnostics"),
+    "target_pose": (PoseStamped, "/ik_controller/target_pose"),
+}
+SENT = {
+    "target_pose": (PoseStamped, "/ik_controller/target_pose"),
+    "target_twist": (TwistStamped, "/ik_controller/target_twist"),
+    "target_trajectory": (MultiDOFJointTrajectory, "/ik_controller/target_trajectory"),
+    "target_joints": (JointState, "/ik_controller/target_joints"),
+}
+SERVICES = {"pause": SetBool, "record": SetBool, "reset": Trigger}
+
+
+def figure_bag(folder: Path, seconds: float, robot: str = "panda") -> Path:
+    """Write the first seconds of the bundled figure-eight, made by scripts/make_bags.py; they end at full speed."""
+    file = ROOT / "scripts" / "make_bags.py"
+    specification = importlib.util.spec_from_file_location("make_bags", file)
+    assert specification is not None
+    assert specification.loader is not None
+    script = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(script)
+    parameters = bundled_parameters(robot)
+    model = build_model(parameters)
+    targets = script.targets(model.forward(np.array(parameters.posture)), model.base_frame)
+    write_targets(folder, [target for target in targets if target.time <= seconds * 1e9], script.START)
+    return folder
+
+
+def next_domain() -> int:
+    """Return a ROS domain nobody else in this process has."""
+    return 1 + next(_DOMAINS) % 100
+
+
+def environment(domain: int) -> dict[str, str]:
+    """Return the environment of a process in that domain."""
+    paths = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return {
+        **os.environ,
+        "ROS_DOMAIN_ID": str(domain),
+        "PYTHONPATH": os.pathsep.join(paths),
+        "RCUTILS_LOGGING_USE_STDOUT": "0",
+        "PYTHONUNBUFFERED": "1",
+    }
+
+
+class Process:
+    """A process in a group of its own, with its output in files."""
+
+    def __init__(self, command: list[str], folder: Path, name: str, domain: int) -> None:
+        self.name = name
+        self._out, self._err = folder / f"{name}.out", folder / f"{name}.err"
+        with self._out.open("wb") as out, self._err.open("wb") as err:
+            self.popen = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=err,
+                env=environment(domain),
+                cwd=folder,
+                start_new_session=True,
+            )
+
+    @property
+    def out(self) -> str:
+        return self._out.read_text(encoding="utf-8", errors="replace")
+
+    @property
+    def err(self) -> str:
+        return self._err.read_text(encoding="utf-8", errors="replace")
+
+    def send(self, number: int) -> None:
+        self.popen.send_signal(number)
+
+    def wait(self) -> int:
+        """Return the exit code."""
+        return self.popen.wait(PATIENCE)
+
+    def kill(self) -> None:
+        """End the whole group, whatever it does."""
+        if self.popen.poll() is None:
+            os.killpg(self.popen.pid, signal.SIGKILL)
+            self.popen.wait(PATIENCE)
+
+
+class Rig:
+    """Node, simulated arm and whoever else in one ROS domain; `folder` gets logs and, in runs/, the recordings.
+
+    `heard[role]` is the list of all messages received on a topic of HEARD.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.domain = next_domain()
+        self.processes: list[Process] = []
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context, domain_id=self.domain)
+        self._listener = Node("test_listener", context=self.context, enable_rosout=False)
+        self._caller = Node("test_caller", context=self.context, enable_rosout=False)
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self._caller)
+        self._clients: dict[str, Any] = {}
+        self._publishers: dict[str, Any] = {}
+        self.heard: dict[str, list[Any]] = {role: [] for role in HEARD}
+        self._subscriptions = {
+            role: self._listener.create_subscription(kind, topic, lambda _: None, QoSProfile(depth=20_000))
+            for role, (kind, topic) in HEARD.items()
+        }
+
+    def close(self) -> None:
+        """End everything."""
+        for process in self.processes:
+            process.kill()
+        self._executor.shutdown()
+        self._listener.destroy_node()
+        self._caller.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+    # -- processes
+
+    def start(self, name: str, command: list[str]) -> Process:
+        process = Process(command, self.folder, f"{len(self.processes)}_{name}", self.domain)
+        self.processes.append(process)
+        return process
+
+    def start_sim(self, *arguments: str) -> Process:
+        return self.start("sim", [*CLI, "sim", *arguments])
+
+    def start_node(self, **parameters: Any) -> Process:
+        settings = {"record_folder": str(self.folder / "runs"), **parameters}
+        given = [part for name, value in settings.items() for part in ("-p", f"{name}:={value}")]
+        return self.start("node", [*NODE, "--ros-args", *given])
+
+    def run_cli(self, *arguments: str) -> Process:
+        """Run a verb to its end."""
+        process = self.start(arguments[0], [*CLI, *arguments])
+        self.until(lambda: process.popen.poll() is not None, f"{arguments[0]} to end")
+        return process
+
+    def bags(self) -> list[Path]:
+        """Return the recorded bags in the order they were made."""
+        folder = self.folder / "runs"
+        return sorted(folder.iterdir()) if folder.exists() else []
+
+    # -- listening
+
+    def listen(self) -> None:
+        """Take what has arrived."""
+        for role, subscription in self._subscriptions.items():
+            with subscription.handle:
+                while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
+                    self.heard[role].append(taken[0])
+
+    def until(self, condition: Callable[[], Any], what: str = "") -> Any:
+        """Listen until a condition holds and return its value; fail at the deadline, with the processes' words."""
+        by = time.monotonic() + PATIENCE
+        while True:
+            self.listen()
+            value = condition()
+            if value:
+                return value
+            if time.monotonic() > by:
+                said = "\n".join(f"[{p.name}: {p.popen.poll()}] {p.err[-1500:]}" for p in self.processes)
+                status = self.heard["status"][-1].message if self.heard["status"] else "no status"
+                raise AssertionError(f"waited in vain for {what or condition}; status: {status}\n{said}")
+            time.sleep(0.01)
+
+    def until_new(self, role: str, condition: Callable[[Any], Any], what: str = "") -> Any:
+        """Listen until a message of this role that has not come yet meets the condition; return it."""
+        self.listen()
+        begin = len(self.heard[role])
+        return self.until(
+            lambda: next((m for m in self.heard[role][begin:] if condition(m)), None), what or f"a {role} message"
+        )
+
+    def until_status(self, text: str) -> Any:
+        """Listen until a new ~/status says so; return it."""
+        return self.until_new("status", lambda status: text in status.message, f"the status '{text}'")
+
+    def until_commanding(self) -> None:
+        """Listen until the node commands."""
+        self.until(lambda: self.heard["joint_commands"], "joint_commands")
+
+    # -- sending and calling
+
+    def publisher(self, role: str) -> Any:
+        """Return a publisher of a role of SENT, once the node listens to it."""
+        if role not in self._publishers:
+            kind, topic = SENT[role]
+            self._publishers[role] = self._listener.create_publisher(kind, topic, 100)
+        publisher = self._publishers[role]
+        self.until(publisher.get_subscription_count, f"a listener on {role}")
+        return publisher
+
+    def call(self, service: str, data: bool | None = None) -> Any:
+        """Call one of the node's services and return the response."""
+        kind = SERVICES[service]
+        return self._request(f"/ik_controller/{service}", kind, kind.Request() if data is None else kind.Request(data=data))
+
+    def set_parameters(self, **values: Any) -> SetParametersResult:
+        """Set parameters in one go and return the result."""
+        parameters = [
+            rclpy.parameter.Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
+        ]
+        request = SetParametersAtomically.Request(parameters=parameters)
+        return self._request("/ik_controller/set_parameters_atomically", SetParametersAtomically, request).result
+
+    def get_parameter(self, name: str) -> Any:
+        from rcl_interfaces.srv import GetParameters
+
+        request = GetParameters.Request(names=[name])
+        response = self._request("/ik_controller/get_parameters", GetParameters, request)
+        return parameter_value_to_python(response.values[0])
+
+    def _request(self, name: str, kind: Any, request: Any) -> Any:
+        if name not in self._clients:
+            self._clients[name] = self._caller.create_client(kind, name)
+        client = self._clients[name]
+        self.until(client.service_is_ready, f"the service {name}")
+        future = client.call_async(request)
+
+        def answered() -> bool:
+            self._executor.spin_once(timeout_sec=0.01)
+            return future.done()
+
+        self.until(answered, f"an answer of {name}")
+        return future.result()
+
+
+def values_of(status: DiagnosticStatus) -> dict[str, str]:
+    """Return a status' key-value pairs."""
+    return {pair.key: pair.value for pair in status.values}
+
+
+def stamp(message: Any) -> int:
+    """Return a message's stamp [ns]."""
+    return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+
+
+def table(commands: list[JointState]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the stamps (k,) [ns], positions (k, n) and velocities (k, n) of commands."""
+    stamps = np.array([stamp(c) for c in commands], dtype=np.int64)
+    return stamps, np.array([c.position for c in commands]), np.array([c.velocity for c in commands])
+
+
+def assert_limits_hold(commands: list[JointState], model: Any, period: int, restarts: int = 0) -> None:
+    """Position, velocity and acceleration limits, in the positions themselves, for commands `period` [ns] apart.
+
+    `restarts`: how often at most the node started anew from the measured position; there, at rest, the stream may have
+    a gap in time and a step to what was measured.
+    """
+    stamps, q, v = table(commands)
+    steps, dt = np.diff(stamps), period * 1e-9
+    assert (steps % period == 0).all()
+    assert np.count_nonzero(steps != period) <= restarts
+    assert (q >= model.lower - 1e-12).all()
+    assert (q <= model.upper + 1e-12).all()
+    differences = np.diff(q, axis=0) / dt
+    new = ~v[1:].any(axis=1) & (np.abs(differences) > 1e-9 / dt).any(axis=1)
+    assert np.count_nonzero(new) <= restarts
+    assert not v[:-1][new].any()
+    differences[new] = 0.0
+    np.testing.assert_allclose(differences, v[1:], atol=1e-9 / dt)
+    assert (np.abs(differences) <= model.velocity_limit * (1.0 + 1e-6) + 1e-9).all()
+    accelerations = np.diff(differences, axis=0) / dt
+    assert (np.abs(accelerations) <= model.acceleration_limit * (1.0 + 1e-6) + 1e-6).all()
+
+
+def stalls_of(rig: Rig) -> int:
+    """Return how often the node's process had been held up, at its last status, and once more since."""
+    return int(values_of(rig.heard["status"][-1])["stalls"]) + 1
