@@ -1,20 +1,26 @@
 """Numba where it is installed: one source of a numerical kernel that runs compiled or, slower, as plain Python.
 
 A kernel is a module-level function of scalars and arrays, decorated with `compiled`. Switch the compiler off with
-Numba's own variable, NUMBA_DISABLE_JIT=1. Fast-math stays off: a kernel gives the same bits on every call.
+Numba's own variable, NUMBA_DISABLE_JIT=1. Fast-math stays off: a kernel gives the same bits on every call. Kernels are
+written as loops over scalars: array expressions compile ten times as long. Numba's cache on disk watches only the file
+of the kernel itself: after a change in a kernel that others call, `make clean`.
 """
 
 from __future__ import annotations
 
+import contextlib
+import os
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any, TypeVar, cast
 
-try:
-    import numba
-except ImportError:
-    numba = None
+numba: Any = None
+# Read here, not by Numba, so that a process that solves one pose is spared the second that importing it takes.
+if os.environ.get("NUMBA_DISABLE_JIT", "0") == "0":
+    with contextlib.suppress(ImportError):
+        numba = import_module("numba")
 
-HAS_NUMBA: bool = numba is not None and not numba.config.DISABLE_JIT
+HAS_NUMBA: bool = numba is not None
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -86,8 +86,8 @@ def chain_kinematics(chain: tuple[Any, ...], q: Array, rotation: Array, position
     m = leader.shape[0]
     axes = np.empty((m, 3))
     points = np.empty((m, 3))
-    r = np.eye(3)
-    p = np.zeros(3)
+    r, p = np.zeros((3, 3)), np.zeros(3)
+    r[0, 0] = r[1, 1] = r[2, 2] = 1.0
     fixed = np.empty((3, 3))
     for k in range(m + 1):
         for i in range(3):
@@ -110,7 +110,9 @@ def chain_kinematics(chain: tuple[Any, ...], q: Array, rotation: Array, position
         position[i] = p[i]
         for j in range(3):
             rotation[i, j] = fixed[i, j]
-    jacobian[:] = 0.0
+    for i in range(6):
+        for j in range(jacobian.shape[1]):
+            jacobian[i, j] = 0.0
     for k in range(m):
         column, gain = leader[k], factor[k]
         if prismatic[k]:

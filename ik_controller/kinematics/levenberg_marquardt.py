@@ -133,26 +133,29 @@ def select_axes(frame: Array, axes: Array, error: Array, jacobian: Array) -> Non
 
     The rows of a rotation vector φ of which some are cleared need its exact rate −J_r⁻¹(φ) ω, not only ω.
     """
+    n = jacobian.shape[1]
     rotation_axes = axes[3] + axes[4] + axes[5]
     if 0.0 < rotation_axes < 3.0:
         x, y, z = error[3], error[4], error[5]
         angle2 = x * x + y * y + z * z
         angle = math.sqrt(angle2)
         k = 1.0 / 12.0 if angle < 1e-4 else (1.0 - 0.5 * angle / math.tan(0.5 * angle)) / angle2
-        a, b, c = jacobian[3].copy(), jacobian[4].copy(), jacobian[5].copy()
-        # J_r⁻¹(φ) ω = ω + ½ φ×ω + k φ×(φ×ω), and φ×(φ×ω) = φ(φ·ω) − φ²ω
-        along = k * (x * a + y * b + z * c)
         rest = 1.0 - k * angle2
-        jacobian[3] = rest * a + 0.5 * (y * c - z * b) + x * along
-        jacobian[4] = rest * b + 0.5 * (z * a - x * c) + y * along
-        jacobian[5] = rest * c + 0.5 * (x * b - y * a) + z * along
+        for j in range(n):
+            # J_r⁻¹(φ) ω = ω + ½ φ×ω + k φ×(φ×ω), and φ×(φ×ω) = φ(φ·ω) − φ²ω
+            a, b, c = jacobian[3, j], jacobian[4, j], jacobian[5, j]
+            along = k * (x * a + y * b + z * c)
+            jacobian[3, j] = rest * a + 0.5 * (y * c - z * b) + x * along
+            jacobian[4, j] = rest * b + 0.5 * (z * a - x * c) + y * along
+            jacobian[5, j] = rest * c + 0.5 * (x * b - y * a) + z * along
     for top in (0, 3):
         x, y, z = error[top], error[top + 1], error[top + 2]
-        a, b, c = jacobian[top].copy(), jacobian[top + 1].copy(), jacobian[top + 2].copy()
         for i in range(3):
-            on = axes[top + i]
-            error[top + i] = on * (frame[0, i] * x + frame[1, i] * y + frame[2, i] * z)
-            jacobian[top + i] = on * (frame[0, i] * a + frame[1, i] * b + frame[2, i] * c)
+            error[top + i] = axes[top + i] * (frame[0, i] * x + frame[1, i] * y + frame[2, i] * z)
+        for j in range(n):
+            a, b, c = jacobian[top, j], jacobian[top + 1, j], jacobian[top + 2, j]
+            for i in range(3):
+                jacobian[top + i, j] = axes[top + i] * (frame[0, i] * a + frame[1, i] * b + frame[2, i] * c)
 
 
 @compiled
@@ -196,15 +199,14 @@ def descend(
     """
     n = q.shape[0]
     rotation, position, jacobian = np.empty((3, 3)), np.empty(3), np.empty((6, n))
-    error, step = np.empty(6), np.zeros(n)
-    all_axes = axes.sum() == 6.0
+    error, step, gradient = np.empty(6), np.zeros(n), np.zeros(n)
+    free = np.ones(n, dtype=np.bool_)
+    q_before, jacobian_before = np.empty(n), np.empty((6, n))
+    all_axes = axes[0] + axes[1] + axes[2] + axes[3] + axes[4] + axes[5] == 6.0
     into_limits(q, lower, upper, prismatic)
-    q_before, cost_before = q.copy(), math.inf
-    jacobian_before, gradient = jacobian.copy(), np.zeros(n)
-    position_error = orientation_error = math.inf
+    cost_before, position_error, orientation_error = math.inf, math.inf, math.inf
     sigma = 1.0
     milestone, milestone_k = math.inf, 0
-    patience = CAREFUL_PATIENCE if careful else PATIENCE
     for k in range(iterations + 1):
         kinematics(chain, q, rotation, position, jacobian)
         for i in range(3):
@@ -219,35 +221,40 @@ def descend(
             sigma *= 8.0
             q[:] = q_before
         else:
-            if careful:
-                sigma = max(0.25 * sigma, 1e-3)
-            position_error, orientation_error = math.sqrt(linear), math.sqrt(angular)
-            q_before[:], cost_before = q, cost
+            sigma = max(0.25 * sigma, 1e-3) if careful else 1.0
+            position_error, orientation_error, cost_before = math.sqrt(linear), math.sqrt(angular), cost
+            q_before[:] = q
             jacobian_before[:] = jacobian
-            gradient[:] = 0.0
-            for row in range(6):
-                gradient += error[row] * jacobian[row]
+            for i in range(n):
+                gradient[i] = 0.0
+                for row in range(6):
+                    gradient[i] += jacobian[row, i] * error[row]
         if history.shape[0] > 0:
             history[k, :n] = q
             history[k, n], history[k, n + 1] = position_error, orientation_error
         if position_error <= position_tolerance and orientation_error <= orientation_tolerance:
             return CONVERGED, k, position_error, orientation_error
-        free = ~(((q <= lower) & (gradient < 0.0)) | ((q >= upper) & (gradient > 0.0)))
-        slope = math.sqrt((gradient * gradient * free).sum())
-        if slope <= 1e-9 * math.sqrt(2.0 * cost_before) or sigma > 1e12:
+        slope = 0.0
+        for i in range(n):
+            outward = (q[i] <= lower[i] and gradient[i] < 0.0) or (q[i] >= upper[i] and gradient[i] > 0.0)
+            free[i] = not outward
+            if not outward:
+                slope += gradient[i] * gradient[i]
+        if slope <= 2e-18 * cost_before or sigma > 1e12:
             return STATIONARY, k, position_error, orientation_error
         if cost_before < 0.5 * milestone or (careful and cost_before < (1.0 - 1e-9) * milestone):
             milestone, milestone_k = cost_before, k
-        elif k - milestone_k >= patience:
+        elif k - milestone_k >= (CAREFUL_PATIENCE if careful else PATIENCE):
             return SLOW, k, position_error, orientation_error
         if k == iterations:
             break
-        damping = sigma * (DAMPING * cost_before + DAMPING_FLOOR)
-        damped_step(jacobian_before, gradient, free, damping, step)
-        step *= step_size
-        most = np.abs(step).max()
-        if most > clamp:
-            step *= clamp / most
-        q += step
+        damped_step(jacobian_before, gradient, free, sigma * (DAMPING * cost_before + DAMPING_FLOOR), step)
+        most = 0.0
+        for i in range(n):
+            step[i] *= step_size[i]
+            most = max(most, abs(step[i]))
+        scale = clamp / most if most > clamp else 1.0
+        for i in range(n):
+            q[i] += scale * step[i]
         into_limits(q, lower, upper, prismatic)
     return SLOW, iterations, position_error, orientation_error
