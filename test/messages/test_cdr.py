@@ -117,6 +117,23 @@ def test_a_message_of_the_learned_length_and_names_is_still_held_to_its_counts()
     np.testing.assert_array_equal(reader.read(good), np.arange(7.0))
 
 
+def outcome(read, *arguments):
+    """Return the bytes of what was read, None for nothing, or the error's line."""
+    try:
+        values = read(*arguments)
+    except MessageError as error:
+        return one_line(error)
+    if isinstance(values, np.ndarray):
+        assert np.isfinite(values).all()
+        return values.tobytes()
+    return None
+
+
+def one_line(error):
+    assert "\n" not in str(error)
+    return str(error)
+
+
 @settings(max_examples=300)
 @given(data=st.data())
 def test_damaged_messages_raise_nothing_but_message_errors(data):
@@ -127,16 +144,8 @@ def test_damaged_messages_raise_nothing_but_message_errors(data):
     for _ in range(data.draw(st.integers(0, 3))):
         damaged[data.draw(st.integers(0, len(damaged) - 1))] = data.draw(st.integers(0, 255))
     damaged = bytes(damaged[: data.draw(st.one_of(st.just(len(damaged)), st.integers(0, len(damaged))))])
-    results = []
-    for each in (reader, cdr.JointStateReader(JOINTS)):  # one that knows the layout, one that does not
-        try:
-            values = each.read(damaged)
-            results.append(None if values is None else values.tobytes())
-            assert values is None or np.isfinite(values).all()
-        except MessageError as error:
-            assert "\n" not in str(error)
-            results.append("refused")
-    assert results[0] == results[1]
+    # One reader knows the layout, the other does not.
+    assert outcome(reader.read, damaged) == outcome(cdr.JointStateReader(JOINTS).read, damaged)
     np.testing.assert_array_equal(reader.read(good), [2, 1, 4])
 
 
@@ -146,11 +155,8 @@ def test_damaged_messages_raise_nothing_but_message_errors(data):
 @example(cdr.JOINT_STATE, b"\0\1\0\0" + b"\0" * 12 + b"\xff\xff\xff\x7f")
 def test_garbage_raises_nothing_but_message_errors(type_name, data):
     for attempt in (data, b"\0\1\0\0" + data):
-        try:
-            cdr.decode(type_name, attempt)
-        except MessageError as error:
-            assert type_name in str(error)
-            assert "\n" not in str(error)
+        result = outcome(cdr.decode, type_name, attempt)
+        assert result is None or type_name in result
 
 
 integers = st.integers(-(2**63), 2**63 - 1)

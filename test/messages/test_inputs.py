@@ -113,7 +113,7 @@ BAD = {
     "infinite twist": ("target_twist", wire.twist([*ZERO[1:], -np.inf], BASE), "must be finite"),
     "twist in an empty frame": ("target_twist", wire.twist(ZERO, ""), "frame_id is empty"),
     "no points": ("target_trajectory", wire.trajectory([], BASE), "the trajectory has no points"),
-    "foreign names": ("target_trajectory", wire.trajectory([(0, [POSE], [])], BASE, 0, ["base"]), "need none, or the tip"),
+    "foreign names": ("target_trajectory", wire.trajectory([(0, [POSE], [])], BASE, 0, ["base"]), "need none, or"),
     "two transforms": ("target_trajectory", wire.trajectory([(0, [POSE] * 2, [])], BASE), "point 0 has 2 transforms"),
     "no transform": ("target_trajectory", wire.trajectory([(0, [], [])], BASE), "point 0 has 0 transforms"),
     "two velocities": (
