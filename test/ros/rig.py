@@ -27,6 +27,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import QoSProfile
+from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
@@ -51,9 +52,9 @@ HEARD = {
     "tracking_error": (TwistStamped, "/ik_controller/tracking_error"),
     "status": (DiagnosticStatus, "/ik_controller/status"),
     "diagnostics": (DiagnosticArray, "/diagnostics"),
-    "target_pose": (PoseStamped, "/ik_controller/target_pose"),
 }
 SENT = {
+    "joint_states": (JointState, "/joint_states"),
     "target_pose": (PoseStamped, "/ik_controller/target_pose"),
     "target_twist": (TwistStamped, "/ik_controller/target_twist"),
     "target_trajectory": (MultiDOFJointTrajectory, "/ik_controller/target_trajectory"),
@@ -314,6 +315,13 @@ def assert_limits_hold(commands: list[JointState], model: Any, period: int, rest
     assert (np.abs(differences) <= model.velocity_limit * (1.0 + 1e-6) + 1e-9).all()
     accelerations = np.diff(differences, axis=0) / dt
     assert (np.abs(accelerations) <= model.acceleration_limit * (1.0 + 1e-6) + 1e-6).all()
+
+
+def recorded(bag: Path, topic: str) -> list[Any]:
+    """Return a bag's messages of a topic, read by rosbags."""
+    with AnyReader([bag]) as reader:
+        wanted = [c for c in reader.connections if c.topic == topic]
+        return [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(wanted)]
 
 
 def stalls_of(rig: Rig) -> int:
