@@ -56,7 +56,8 @@ def _extract(model: RobotModel) -> Chain:
     turned = np.eye(3)  # the frame before, turned so that its joint's axis is z
     for k in range(m):
         # In its own frame a joint's Jacobian column is its axis, linear or angular.
-        column = pin.computeJointJacobian(pin_model, data, zero, k + 1)[:, k]
+        # eigenpy gives a matrix of one column as a vector
+        column = np.reshape(pin.computeJointJacobian(pin_model, data, zero, k + 1), (6, -1))[:, k]
         prismatic[k] = np.linalg.norm(column[:3]) > 0.5
         axis = column[:3] if prismatic[k] else column[3:]
         placement = pin_model.jointPlacements[k + 1]
