@@ -54,7 +54,9 @@ _STOP_TIME = 5.0  # [s] that braking at shutdown may take
 
 
 class ControllerNode(Node):  # type: ignore[misc]
-    """One arm's controller. `run` is the loop; it returns after `request_stop`, with the arm at rest and the bag sealed."""
+    """One arm's controller. `run` is the loop; it returns after `request_stop`, with the arm at rest and the bag
+    sealed.
+    """
 
     def __init__(self, **node_arguments: Any) -> None:
         """Raises IkControllerError where parameters, URDF or frames do not fit."""
@@ -151,7 +153,7 @@ class ControllerNode(Node):  # type: ignore[misc]
         """Make a bag, which takes longer than a cycle, and hand it to the loop; return (success, message)."""
         try:
             folder = new_bag_folder(Path(self.parameters.record_folder).expanduser())
-            recorder = RunWriter(folder, self.session, self._topics, self.parameters.record_compression)
+            recorder = RunWriter(folder, self.session, self._topics)
         except IkControllerError as error:
             self.get_logger().error(f"not recording: {error}")
             return False, str(error)
@@ -311,10 +313,20 @@ def main(arguments: list[str] | None = None) -> int:
     # rclpy's own handlers would shut the context down before the stop command can go out.
     rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     node: ControllerNode | None = None
+    stopped = False
+
+    def stop(*_: Any) -> None:
+        nonlocal stopped
+        stopped = True
+        if node is not None:
+            node.request_stop()
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
     try:
         node = ControllerNode()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, node.request_stop)
+        if stopped:
+            node.request_stop()
         node.run()
     except IkControllerError as error:
         print(f"ik_controller_node: {error}", file=sys.stderr)
