@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import re
 from typing import TYPE_CHECKING, Any
 
@@ -56,8 +55,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Solve, print, and return 0 where the pose is reached, else 1."""
-    # For one pose, loading Numba takes longer than solving without it.
-    os.environ.setdefault("NUMBA_DISABLE_JIT", "1")
     from ik_controller.kinematics.solve import solve_ik
 
     model = model_from(arguments)
