@@ -46,12 +46,12 @@ bench-peers: $(READY)  ## the same jobs by other libraries, each in an environme
 
 docs: $(READY)  ## the parts of the documentation that are made from the code
 	@$(BIN)/python scripts/make_docs.py
-	@$(BIN)/python docs/pictures.py
+	@set -e; for script in docs/pictures*.py; do $(BIN)/python $$script; done
 
 install: $(READY) $(DEV)  ## .venv alone
 
 clean:  ## remove .venv and what builds leave behind; recorded runs stay
-	@rm -rf $(VENV) build install log dist *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache
+	@rm -rf $(VENV) $(VENV)-peers build install log dist *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache
 	@find ik_controller test scripts launch -name __pycache__ -prune -exec rm -rf {} +
 
 help:  ## this list
