@@ -54,6 +54,7 @@ HEARD = {
     "diagnostics": (DiagnosticArray, "/diagnostics"),
 }
 SENT = {
+    "joint_commands": (JointState, "/joint_commands"),
     "joint_states": (JointState, "/joint_states"),
     "target_pose": (PoseStamped, "/ik_controller/target_pose"),
     "target_twist": (TwistStamped, "/ik_controller/target_twist"),
@@ -137,7 +138,7 @@ class Process:
 class Rig:
     """Node, simulated arm and whoever else in one ROS domain; `folder` gets logs and, in runs/, the recordings.
 
-    `heard[role]` is the list of all messages received on a topic of HEARD.
+    `heard[role]` is the list of all messages received on a topic of HEARD, `arrivals[role]` of when [ns].
     """
 
     def __init__(self, folder: Path) -> None:
@@ -153,6 +154,7 @@ class Rig:
         self._clients: dict[str, Any] = {}
         self._publishers: dict[str, Any] = {}
         self.heard: dict[str, list[Any]] = {role: [] for role in HEARD}
+        self.arrivals: dict[str, list[int]] = {role: [] for role in HEARD}
         self._subscriptions = {
             role: self._listener.create_subscription(kind, topic, lambda _: None, QoSProfile(depth=20_000))
             for role, (kind, topic) in HEARD.items()
@@ -201,6 +203,7 @@ class Rig:
             with subscription.handle:
                 while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
                     self.heard[role].append(taken[0])
+                    self.arrivals[role].append(time.time_ns())
 
     def until(self, condition: Callable[[], Any], what: str = "") -> Any:
         """Listen until a condition holds and return its value; fail at the deadline, with the processes' words."""
@@ -235,7 +238,7 @@ class Rig:
     # -- sending and calling
 
     def publisher(self, role: str) -> Any:
-        """Return a publisher of a role of SENT, once the node listens to it."""
+        """Return a publisher of a role of SENT, once somebody listens to it."""
         if role not in self._publishers:
             kind, topic = SENT[role]
             self._publishers[role] = self._listener.create_publisher(kind, topic, 100)

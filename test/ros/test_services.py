@@ -49,11 +49,6 @@ def at_rest(command: Any) -> bool:
     return not np.any(command.velocity)
 
 
-def last_state(rig: Rig) -> Any:
-    rig.listen()
-    return rig.heard["joint_states"][-1]
-
-
 def replayed(bag: Path) -> Replay:
     """Replay a bag that the node is sealing or has sealed."""
     by = time.monotonic() + 30.0
@@ -85,23 +80,29 @@ def bag(live: Rig) -> Iterator[Any]:
 
 def test_pause_brakes_and_going_on_starts_at_the_measured_position(live: Rig, bag: Any) -> None:
     with moving(live):
-        begin = len(live.heard["joint_commands"])
         assert live.call("pause", True).success
-        status = live.until_status("paused")
-        assert status.level == b"\x01"
+        assert live.until_status("paused").level == b"\x01"
         live.until(lambda: at_rest(live.heard["joint_commands"][-1]), "the arm to stop")
-        q = np.array([c.position for c in live.heard["joint_commands"][begin:]])
-        assert len(q) > 1
-        # Paused, nothing is commanded, whatever comes.
-        paused_from = len(live.heard["joint_commands"])
         live.until_status("paused")
+        number = len(live.heard["joint_commands"])
+        # Paused, nothing is commanded although targets come; meanwhile somebody else moves the arm.
+        elsewhere = live.heard["joint_commands"][-1]
+        elsewhere = type(elsewhere)(name=elsewhere.name, position=np.array(elsewhere.position) + 0.1)
         live.until_status("paused")
-        assert len(live.heard["joint_commands"]) == paused_from
-    # Somebody else moves the arm meanwhile: here the simulated one, by a command of ours.
+        assert len(live.heard["joint_commands"]) == number
+        live.publisher("joint_commands").publish(elsewhere)
+        live.until(lambda: list(live.heard["joint_states"][-1].position) == list(elsewhere.position), "the arm to move")
+        live.until_status("paused")
+        number = len(live.heard["joint_commands"])
+        assert live.call("pause", False).success
+        first = live.until(lambda: live.heard["joint_commands"][number:], "commands")[0]
+        assert list(first.position) == list(elsewhere.position)
+        assert at_rest(first)
+        live.until_status("tracking")
+    assert replayed(bag()).identical
 
 
 def test_reset_brakes_first_and_goes_on(live: Rig, bag: Any) -> None:
-    live.call("pause", False)
     with moving(live):
         answer = live.call("reset")
         assert answer.success
@@ -163,7 +164,7 @@ def test_a_changed_parameter_acts_is_recorded_and_replays_bit_identically(live: 
         ({"rate": 500.0}, "read-only"),
         ({"robot": "ur5e"}, "read-only"),
         ({"tool_offset": [0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]}, "read-only"),
-        ({"no_such_parameter": 1.0}, "no_such_parameter"),
+        ({"no_such_parameter": 1.0}, "undeclared"),  # rclpy's own answer
     ],
 )
 def test_parameters_that_do_not_fit_are_refused_with_the_reason(live: Rig, values: dict[str, Any], named: str) -> None:
