@@ -1,4 +1,4 @@
-"""The command line: `ik_controller VERB …`. Each verb is a module of `ik_controller.verbs`, imported only when asked for.
+"""The command line: `ik_controller VERB …`. Each verb is a module of `ik_controller.verbs`, imported when asked for.
 
 Exit codes of every verb: 0 success, 1 "ran, and the answer is no", 2 bad usage or input (one line on stderr).
 """

@@ -109,11 +109,17 @@ class ControllerParameters:
         (), "robot", "Their values, in the same order.", unit="rad, m", read_only=True
     )
     # limits
-    position_lower: tuple[float, ...] = _p((), "limits", "Lower joint limits; empty: the URDF's.", unit="rad, m")
-    position_upper: tuple[float, ...] = _p((), "limits", "Upper joint limits; empty: the URDF's.", unit="rad, m")
-    velocity_limits: tuple[float, ...] = _p((), "limits", "Joint speed limits; empty: the URDF's.", unit="rad/s, m/s")
+    position_lower: tuple[float, ...] = _p(
+        (), "limits", "Lower joint limits; empty: the URDF's.", unit="rad, m", read_only=True
+    )
+    position_upper: tuple[float, ...] = _p(
+        (), "limits", "Upper joint limits; empty: the URDF's.", unit="rad, m", read_only=True
+    )
+    velocity_limits: tuple[float, ...] = _p(
+        (), "limits", "Joint speed limits; empty: the URDF's.", unit="rad/s, m/s", read_only=True
+    )
     acceleration_limits: tuple[float, ...] = _p(
-        (), "limits", "Joint acceleration limits; empty: full speed in 0.25 s.", unit="rad/s², m/s²"
+        (), "limits", "Joint acceleration limits; empty: full speed in 0.25 s.", unit="rad/s², m/s²", read_only=True
     )
     velocity_scale: float = _p(1.0, "limits", "Factor on all speed limits.", low=0.001, high=1.0)
     acceleration_scale: float = _p(1.0, "limits", "Factor on all acceleration limits.", low=0.001, high=1.0)

@@ -17,7 +17,9 @@ def bundled_parameters(name: str) -> ControllerParameters:
 
 
 def with_bundled(values: dict[str, object]) -> ControllerParameters:
-    """Return parameters of names and values; where they name a bundled robot, what they leave open is the robot's own."""
+    """Return parameters of names and values; where they name a bundled robot, what they leave open is the robot's
+    own.
+    """
     robot = values.get("robot", "")
     base = bundled_parameters(robot) if isinstance(robot, str) and robot else ControllerParameters()
     return base.replace(values)

@@ -90,7 +90,8 @@ class Session:
     def apply(self, event: str) -> None:
         """Apply one event, JSON text with the key "do" of EVENTS; between two cycles.
 
-        Raises IkControllerError where it cannot be applied (unknown, or parameters that do not fit); nothing changes then.
+        Raises IkControllerError where it cannot be applied (unknown, or parameters that do not fit); nothing changes
+        then.
         """
         try:
             content = json.loads(event)

@@ -1,4 +1,4 @@
-"""The bounded problem: the task's velocity within joint intervals, redundancy before slowing down, slowing before bending.
+"""The bounded problem: the task within joint intervals; redundancy before slowing down, slowing before bending.
 
     minimize  ‖D (q̇ − q̇_wanted)‖² + W (1 − s)²   subject to  J q̇ = s J q̇_wanted,  low ≤ q̇ ≤ high,  0 ≤ s ≤ 1
 
@@ -33,8 +33,8 @@ def bounded_velocity(
 ) -> tuple[Array, float, bool]:
     """Return (q̇ (n,), s, bent): the velocity nearest to `wanted` (n,) in [low, high] that keeps J q̇ along J q̇_wanted.
 
-    `jacobian` J (m, n) with `eigenvalues` (m,) and `directions` (m, m) of J Jᵀ. `bent` says that the direction could not
-    be held and q̇ is the closest instead.
+    `jacobian` J (m, n) with `eigenvalues` (m,) and `directions` (m, m) of J Jᵀ. `bent` says that the direction could
+    not be held and q̇ is the closest instead.
     """
     n = wanted.size
     able = eigenvalues > _RANK_TOLERANCE * eigenvalues[-1]

@@ -1,6 +1,7 @@
 """Controller: one cycle of the closed loop, a pure function of its state and arguments.
 
-State is the last commanded position and velocity, nothing else; the same calls from the same `reset` give the same bits.
+State is the last commanded position and velocity, nothing else: the same calls from the same `reset` give the same
+bits.
 """
 
 from __future__ import annotations
@@ -13,13 +14,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ik_controller.control.bounded import bounded_velocity
-from ik_controller.control.kernel import braking_factor, tool_cycle
-from ik_controller.control.law import BRAKING_SHARE, Law
+from ik_controller.control.kernel import tool_cycle
+from ik_controller.control.law import Law
 from ik_controller.control.limits import JointLimits
 from ik_controller.control.reference import Reference
 from ik_controller.control.status import Code, Limit, Status
 from ik_controller.errors import ArgumentError, ParameterError, choices
 from ik_controller.kinematics.model import RobotModel
+from ik_controller.kinematics.small import gram, spectrum
 from ik_controller.parameters import ControllerParameters, gain_matrix
 
 Array = NDArray[np.float64]
@@ -43,12 +45,13 @@ class Step:
 
 
 class Controller:
-    """The closed loop of N11 within the joints' limits: `reset(q)`, then `step(q_measured, reference, dt)` every cycle."""
+    """The closed loop of N11 within the joints' limits: `reset(q)`, then `step(q_measured, reference, dt)` a cycle."""
 
     def __init__(self, model: RobotModel, parameters: ControllerParameters | None = None) -> None:
         """Raises ParameterError where a list's length does not fit the model's joints."""
         self.model = model
-        self._q: Array | None = None
+        self._q = np.zeros(model.n)
+        self._started = False  # has there been a `reset`?
         self._v = np.zeros(model.n)
         self._fresh = False
         self.parameters = ControllerParameters()
@@ -68,7 +71,7 @@ class Controller:
     @property
     def position(self) -> Array | None:
         """The last commanded position (n,), None before the first `reset`."""
-        return self._q
+        return self._q if self._started else None
 
     @property
     def velocity(self) -> Array:
@@ -76,22 +79,26 @@ class Controller:
         return self._v
 
     def reset(self, q: ArrayLike) -> None:
-        """Start at the measured q (n,), at rest: the next step commands exactly q. Raises ArgumentError if not (n,) finite."""
+        """Start at the measured q (n,), at rest: the next step commands exactly q. Raises ArgumentError if it is no
+        q.
+        """
         position = np.array(q, dtype=float)
         if position.shape != (self.model.n,) or not np.isfinite(position).all():
             raise ArgumentError(f"q: need {self.model.n} finite values, got {position.tolist()}")
         self._q = position
         self._v = np.zeros(self.model.n)
-        self._fresh = True
+        self._started = self._fresh = True
 
     def state(self) -> dict[str, Any]:
         """Return the state as JSON types, for `restore`; floats come back bit for bit."""
-        position = None if self._q is None else self._q.tolist()
+        position = self._q.tolist() if self._started else None
         return {"position": position, "velocity": self._v.tolist(), "fresh": self._fresh}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Take a state of `state`."""
-        self._q = None if state["position"] is None else np.array(state["position"])
+        self._started = state["position"] is not None
+        if self._started:
+            self._q = np.array(state["position"])
         self._v = np.array(state["velocity"])
         self._fresh = bool(state["fresh"])
 
@@ -102,7 +109,7 @@ class Controller:
         none: the arm then brakes within its limits and holds. Raises ArgumentError for a dt that is not positive,
         ParameterError where gain times dt is above 1; conditions of the run are in the status.
         """
-        if self._q is None:
+        if not self._started:
             if q_measured is None:
                 raise ArgumentError("step: call reset(q) with a measured position first")
             self.reset(q_measured)
@@ -112,7 +119,6 @@ class Controller:
             gain_matrix(self.parameters.gain, dt)
             self._checked_dt = dt
         q, v = self._q, self._v
-        assert q is not None
         if self._fresh:
             self._fresh = False
             code = Code.HOLDING if reference is None else Code.TRACKING
@@ -126,34 +132,42 @@ class Controller:
         if reference is not None and reference.joints is None and q_measured is not None:
             return self._follow_tool(reference, q_measured if base == "measured" else q, dt, bounds)
         limits.update(q, v, dt, bounds)
-        if reference is None or q_measured is None:
-            return self._stop(dt, Code.NO_FEEDBACK if q_measured is None else Code.HOLDING)
-        return self._follow_joints(reference, dt)
+        if q_measured is None:
+            return self._stop(dt, Code.NO_FEEDBACK)
+        if reference is None or reference.joints is None:
+            return self._stop(dt, Code.HOLDING)
+        return self._follow_joints(reference.joints, reference, dt)
 
     # -- the three ways to move
 
     def _follow_tool(self, reference: Reference, at: Array, dt: float, bounds: Array) -> Step:
         law, limits = self._law, self._limits
-        has_pose = reference.position is not None
+        target, turned, twist = reference.position, reference.rotation, reference.twist
+        pose = _NO_POSE if target is None or turned is None else (target, turned)
+        has_pose = pose is not _NO_POSE
         measure = has_pose and law.exponential
-        error, feedback = (_ZERO, _ZERO) if measure or not has_pose else law.observe(reference, at)
-        use_twist = reference.twist is not None and (law.feed_forward or not has_pose)
-        wanted, position, reach, fits, exponential, sigma = tool_cycle(
+        error, feedback = (np.zeros(6), _ZERO) if measure or not has_pose else law.observe(reference, at)
+        if twist is None or (has_pose and not law.feed_forward):
+            twist = _ZERO
+        command = np.empty((2, self.model.n))
+        fits, sigma = tool_cycle(
             law.chain,
             at,
-            (reference.position, reference.rotation) if measure else _NO_POSE,
+            pose,
             measure,
             feedback,
-            reference.twist if use_twist else _ZERO,
+            twist,
             law.constants,
             self._q,
             self._v,
             dt,
             (bounds, limits.velocity_twice, limits.acceleration_twice),
             law.work,
+            error,
+            command,
         )
-        if measure:
-            error = exponential
+        wanted, position = command
+        jacobian, reach = law.work
         damped = sigma < law.threshold
         if limits.reserve:
             reach = limits.stop_in_time(reach, self._q, self._v, dt)
@@ -164,27 +178,25 @@ class Controller:
         limits.take(reach)
         if not math.isfinite(wanted.dot(wanted)):
             return self._stop(dt, Code.HOLDING)
-        velocity, scale, _ = bounded_velocity(wanted, *law.work, limits.low, limits.high, limits.velocity)
+        velocity, scale, _ = bounded_velocity(
+            wanted, jacobian, *spectrum(gram(jacobian)), limits.low, limits.high, limits.velocity
+        )
         beyond = np.fmax(wanted - limits.high, limits.low - wanted)
         joint = int(np.argmax(beyond / limits.velocity))
         limit = limits.which(joint, wanted.item(joint), self._v, dt)
         return self._commit(velocity, dt, error, Status(Code.TRACKING, scale, limit, joint, damped, sigma))
 
-    def _follow_joints(self, reference: Reference, dt: float) -> Step:
+    def _follow_joints(self, joints: Array, reference: Reference, dt: float) -> Step:
         """Joint-space target: q̇ = q̇_d + K (q_d − q), slowed as one where a joint must brake or is at a limit."""
         limits = self._limits
-        assert reference.joints is not None and reference.joint_velocity is not None and self._q is not None
-        if reference.joints.shape != self._q.shape:
+        if joints.shape != self._q.shape:
             names = choices(self.model.joint_names)
-            raise ArgumentError(
-                f"reference: {reference.joints.size} joints, need {self.model.n}, one for each of {names}"
-            )
+            raise ArgumentError(f"reference: {joints.size} joints, need {self.model.n}, one for each of {names}")
         gain = self._law.slowest_gain
-        feedback = gain * (reference.joints - self._q)
-        ratio = gain * float((np.abs(feedback) / (0.7 * limits.acceleration)).max())
-        if ratio > 1.0:
-            feedback *= math.sqrt(2.0 * ratio - 1.0) / ratio
-        wanted = reference.joint_velocity + feedback
+        feedback = gain * (joints - self._q)
+        wanted = braking_factor(feedback, gain, BRAKING_SHARE * limits.acceleration) * feedback
+        if reference.joint_velocity is not None:
+            wanted = wanted + reference.joint_velocity
         if not math.isfinite(wanted.dot(wanted)):
             return self._stop(dt, Code.HOLDING)
         excess = float((np.abs(wanted) / limits.velocity).max())

@@ -1,4 +1,4 @@
-"""The numbers of one cycle: functions of arrays alone, compiled by Numba where it is installed, the same source without.
+"""The numbers of one cycle: functions of arrays alone, compiled by Numba where it is installed; one source.
 
 n joints; J (6, n); arrays are float64. The formulas are explained where they belong: the law in `law`, the interval in
 `limits`, the damping in `damped_inverse`.
@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.kinematics.accelerate import compiled
-from ik_controller.kinematics.damped_inverse import apply_inverse, damping_factors
+from ik_controller.kinematics.damped_inverse import damped_gram_inverse
 from ik_controller.kinematics.levenberg_marquardt import kinematics, rotation_log
-from ik_controller.kinematics.small import gram, spectrum, times
+from ik_controller.kinematics.rotation_exp import rotation_exp
+from ik_controller.kinematics.small import gram, times, transposed_times
 
 Array = NDArray[np.float64]
 
@@ -55,8 +56,7 @@ def braking_factor(approach: Array, fastest: float, acceleration: Array) -> floa
 @compiled
 def task_velocity(
     jacobian: Array,
-    directions: Array,
-    factors: Array,
+    inverse: Array,
     feed_forward: Array,
     feedback: Array,
     fastest: float,
@@ -64,16 +64,16 @@ def task_velocity(
     seek: Array,
     seek_limit: Array,
 ) -> Array:
-    """Return J⁺(ẋ_d + β K e) + (I − J⁺J) q̇₀ (n,).
+    """Return J⁺(ẋ_d + β K e) + (I − J⁺J) q̇₀ (n,), with J⁺ = Jᵀ · `inverse`.
 
     `feed_forward` ẋ_d and `feedback` K e (6,); `fastest` the largest eigenvalue of K; `braking` (n,) the accelerations
     that β plans with; `seek` (n,) = q̇₀, slowed as a whole to stay below `seek_limit` (n,).
     """
     # A target far beyond reach must not throw the arm through the singularity at its reach's edge, again and again.
     haste = max(np.max(np.abs(feedback[:3])) / FASTEST_APPROACH, np.max(np.abs(feedback[3:])) / FASTEST_TURN, 1.0)
-    approach = apply_inverse(jacobian, directions, factors, feedback / haste)
+    approach = transposed_times(jacobian, times(inverse, feedback / haste))
     null = seek / max(np.max(np.abs(seek) / seek_limit), 1.0)
-    steady = null + apply_inverse(jacobian, directions, factors, feed_forward - times(jacobian, null))
+    steady = null + transposed_times(jacobian, times(inverse, feed_forward - times(jacobian, null)))
     return steady + braking_factor(approach, fastest, braking) * approach
 
 
@@ -90,41 +90,47 @@ def tool_cycle(
     v: Array,
     dt: float,
     limits: tuple[Array, Array, Array],
-    work: tuple[Array, Array, Array],
-) -> tuple[Array, Array, Array, bool, Array, float]:
-    """Return (wanted (n,), position (n,), reach (2n,), fits, error (6,), σ_min) of one cycle towards a tool reference.
+    work: tuple[Array, Array],
+    error: Array,
+    command: Array,
+) -> tuple[bool, float]:
+    """Write one cycle towards a tool reference; return (fits, σ_min).
 
-    `wanted` is the law's velocity, `position` where it leads to, `reach` the `velocity_interval`, `fits` whether the one
-    is in the other. `chain` as `kinematics` takes it; `at` (n,): where e and J are taken; `pose` (position (3,), rotation
-    (3, 3)) of the reference; `feedback` K e (6,), worked out here with the exponential error instead where `measure`;
-    `law`: K (6, 6), its largest eigenvalue, braking accelerations (n,), posture (n,), its gain, seek limits (n,), λ, ε;
-    `limits`: bounds, velocities, accelerations, (2n,) each; `work` is overwritten: J (6, n), eigenvalues (6,) and
-    directions (6, 6) of J Jᵀ.
+    `command` (2, n): the law's velocity, and the position it leads to; `fits`: that velocity is in the
+    `velocity_interval`, the second of `work`, J (6, n) and (2n,). `error` e (6,) and K e are worked out where
+    `measure`, else K e is `feedback`. `chain` as `kinematics` takes it; `at` (n,): where e and J are taken; `pose`
+    (position (3,), rotation (3, 3)) of the reference; `law`: K (6, 6), its largest eigenvalue, braking accelerations
+    (n,), posture (n,), its gain, seek limits (n,), λ, ε; `limits`: bounds, velocities, accelerations, (2n,) each. What
+    is written is passed in because Numba takes an array in ten times faster than it gives one back.
     """
     gain, fastest, braking, posture, posture_gain, seek_limit, damping, threshold = law
-    jacobian, eigenvalues, directions = work
+    jacobian, reach = work
     rotation, position = np.empty((3, 3)), np.empty(3)
-    error = np.zeros(6)
     if measure:
         kinematics(chain, at, rotation, position, jacobian)
         error[:3] = pose[0] - position
         rotation_log(pose[1], rotation, error[3:])
         feedback = times(gain, error)
     kinematics(chain, at + (0.5 * dt) * v, rotation, position, jacobian)
-    values, vectors = spectrum(gram(jacobian))
-    eigenvalues[:] = values
-    directions[:] = vectors
-    factors = damping_factors(values, damping, threshold)
+    inverse, sigma = damped_gram_inverse(gram(jacobian), damping, threshold)
     seek = posture_gain * (posture - at)
-    wanted = task_velocity(jacobian, vectors, factors, feed_forward, feedback, fastest, braking, seek, seek_limit)
-    reach = velocity_interval(q, v, dt, limits[0], limits[1], limits[2])
-    fits = np.all(np.concatenate((wanted, -wanted)) <= reach)
-    return wanted, q + dt * wanted, reach, bool(fits), error, math.sqrt(max(values[0], 0.0))
+    wanted = task_velocity(jacobian, inverse, feed_forward, feedback, fastest, braking, seek, seek_limit)
+    reach[:] = velocity_interval(q, v, dt, limits[0], limits[1], limits[2])
+    command[0] = wanted
+    command[1] = q + dt * wanted
+    return bool(np.all(np.concatenate((wanted, -wanted)) <= reach)), sigma
 
 
 @compiled
-def carried_on(twist: Array, rate: Array, ahead: float, dt: float) -> tuple[Array, Array]:
-    """Return (way (6,), twist (6,)): how far a twist that changes at `rate` leads in `ahead` [s], and its mean over the
-    next dt [s].
+def carry_on(
+    position: Array, rotation: Array, twist: Array, rate: Array, ahead: float, dt: float, pose: Array, mean: Array
+) -> None:
+    """Write where a pose is after `ahead` [s] of a twist (6,) that changes at `rate` (6,), and its mean over the next
+    dt.
+
+    `pose` (4, 3): rotation over position; `mean` (6,).
     """
-    return ahead * twist + (0.5 * ahead * ahead) * rate, twist + (ahead + 0.5 * dt) * rate
+    way = ahead * twist + (0.5 * ahead * ahead) * rate
+    rotation_exp(way[3:], rotation, pose)
+    pose[3] = position + way[:3]
+    mean[:] = twist + (ahead + 0.5 * dt) * rate

@@ -2,12 +2,12 @@
 
 Over a cycle from t to t + dt, the error e is taken at the cycle's start and ẋ_d as the reference's secant over the
 cycle, so that the feed-forward ends where the reference does. J is taken at the *predicted middle* of the cycle,
-q + ½ q̇_previous dt: joint velocities change by at most a·dt between cycles, so the middle is known to O(dt²), and with it
-the integration is the midpoint rule at the price of one forward kinematics more.
+q + ½ q̇_previous dt: joint velocities change by at most a·dt between cycles, so the middle is known to O(dt²), and
+with it the integration is the midpoint rule at the price of one forward kinematics more.
 
-From far away K e asks for more than the joints can brake. q̇ = K δ decays at the rate K only while K |q̇| ≤ a; beyond, the
-fastest approach that can still stop is q̇ = √(2 a (δ − a/2K²)), its tangent continuation. With r = K |q̇|/a the ratio of
-the two is β = √(2r − 1)/r, taken for all joints as one so that the direction stays.
+From far away K e asks for more than the joints can brake. q̇ = K δ decays at the rate K only while K |q̇| ≤ a; beyond,
+the fastest approach that can still stop is q̇ = √(2 a (δ − a/2K²)), its tangent continuation. With r = K |q̇|/a the
+ratio of the two is β = √(2r − 1)/r, taken for all joints as one so that the direction stays.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _POSTURE_SHARE = 0.2
 class Law:
     """The law's constants for one model and one set of parameters, in the form that `kernel.tool_cycle` takes.
 
-    `work` holds the last cycle's J (6, n), and eigenvalues (6,) and directions (6, 6) of J Jᵀ.
+    `work` holds the last cycle's J (6, n) and velocity interval (2n,).
     """
 
     def __init__(self, model: RobotModel, parameters: ControllerParameters) -> None:
@@ -45,7 +45,7 @@ class Law:
         self.feed_forward = parameters.feed_forward
         self.threshold = parameters.singular_value_threshold
         self.chain = solver_chain(model)
-        self.work = np.zeros((6, n)), np.ones(6), np.eye(6)
+        self.work = np.zeros((6, n)), np.zeros(2 * n)
         self.constants = (
             gain,
             float(rates.max()),

@@ -7,8 +7,7 @@ twist is a first-order approximation of it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -21,11 +20,11 @@ from ik_controller.kinematics.model import pose_from
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Reference:
+class Reference(NamedTuple):
     """A set point: a tool pose with its twist, a twist alone, or joint positions with their velocities.
 
-    `position` (3,) [m], `rotation` (3, 3), `twist` (6,) (v, ω) [m/s, rad/s] in the base frame; `joints` (n,) [rad or m],
+    `position` (3,) [m], `rotation` (3, 3), `twist` (6,) (v, ω) [m/s, rad/s] in the base frame; `joints` (n,) [rad or
+    m],
     `joint_velocity` (n,). Prefer the constructors `pose`, `velocity`, `between` and `joint`.
     """
 

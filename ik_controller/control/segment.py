@@ -14,7 +14,9 @@ Array = NDArray[np.float64]
 
 
 class Segment:
-    """The motion from (position, rotation, twist) at time 0 to another at `duration` [s]; twists (6,) in the base frame."""
+    """The motion from (position, rotation, twist) at time 0 to another at `duration` [s]; twists (6,) in the base
+    frame.
+    """
 
     def __init__(
         self,

@@ -1,9 +1,9 @@
 """Targets: from samples that arrive late, early or in bursts to the reference of each cycle.
 
 Samples are kept by their own time. At time τ (now, or now − delay when interpolating) the reference is, in this order:
-between two samples, a cubic of their poses and twists; after the last sample, its pose carried on by its twist and by the
-change of the last twists. A pose stream is live while samples *arrive*; a trajectory is live to its end and then holds its last point. The kind that
-arrived last is followed.
+between two samples, a cubic of their poses and twists; after the last sample, its pose carried on by its twist and by
+the change of the last twists. A pose stream is live while samples *arrive*; a trajectory is live to its end and then
+holds its last point. The kind that arrived last is followed.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ik_controller.control.kernel import carried_on
+from ik_controller.control.kernel import carry_on
 from ik_controller.control.reference import Reference
 from ik_controller.control.segment import Segment
 from ik_controller.parameters import ControllerParameters
@@ -38,7 +38,9 @@ class _Sample:
 
 
 class Targets:
-    """Collects targets, all times in integer nanoseconds of one clock; `reference(now, dt)` gives the cycle's set point."""
+    """Collects targets, all times in integer nanoseconds of one clock; `reference(now, dt)` gives the cycle's set
+    point.
+    """
 
     def __init__(self, parameters: ControllerParameters) -> None:
         self._segment: tuple[_Sample, _Sample, Segment] | None = None  # the last one asked for
@@ -82,7 +84,9 @@ class Targets:
             del self._samples[0], self._times[0]
 
     def add_twist(self, stamp: int, arrival: int, twist: Array) -> None:
-        """Take one twist (6,) (v, ω) [m/s, rad/s], base frame: of the pose with the same stamp, or a velocity command."""
+        """Take one twist (6,) (v, ω) [m/s, rad/s], base frame: of the pose with the same stamp, or a velocity
+        command.
+        """
         self._twist_arrival = arrival
         self._joints = None
         if self._trajectory:
@@ -208,8 +212,9 @@ class Targets:
             return Reference(sample.position, sample.rotation, np.zeros(6))
         ahead = (time - sample.time) * 1e-9
         rate = self._acceleration if self._acceleration is not None and ahead > 0.0 else _NO_CHANGE
-        way, mean = carried_on(twist, rate, ahead, dt)
-        return Reference(sample.position + way[:3], pin.exp3(way[3:]).dot(sample.rotation), mean)
+        pose, mean = np.empty((4, 3)), np.empty(6)
+        carry_on(sample.position, sample.rotation, twist, rate, ahead, dt, pose, mean)
+        return Reference(pose[3], pose[:3], mean)
 
     def _twist_of(self, sample: _Sample) -> Array | None:
         """Return the sample's twist, or while that is still on its way, the last one if fresh."""

@@ -32,7 +32,8 @@ class RobotModel:
 
     Attributes: `joint_names` (n names), `n`, `lower`, `upper` [rad or m], `velocity_limit` [rad/s or m/s],
     `acceleration_limit` [rad/s² or m/s²], `jerk_limit` [rad/s³ or m/s³, inf where none], each (n,); `prismatic` (n,)
-    bool; `base_frame`, `tip_frame`; `urdf_text`; `assumptions` (what the URDF left open, a sentence each); `pin_model` and
+    bool; `base_frame`, `tip_frame`; `urdf_text`; `assumptions` (what the URDF left open, a sentence each); `pin_model`
+    and
     `tool_id`, Pinocchio's model and the index of the tool frame in it.
     """
 
@@ -155,7 +156,9 @@ class RobotModel:
         return cls(Urdf.load(path_or_xml), tip_frame, base_frame, locked_joints=locked_joints, tool_offset=tool_offset)
 
     def _move_world_to(self, base_frame: str) -> None:
-        """Make the base frame Pinocchio's world: shift what hangs on the universe (all joints above base are locked)."""
+        """Make the base frame Pinocchio's world: shift what hangs on the universe (all joints above base are
+        locked).
+        """
         model = self.pin_model
         base = model.frames[model.getFrameId(base_frame, pin.FrameType.BODY)]
         if base.parentJoint != 0:
@@ -266,6 +269,8 @@ def frame_jacobian(model: RobotModel, data: Any, q: Array, frame_id: int) -> Arr
     jacobian: Array = pin.computeFrameJacobian(
         model.pin_model, data, model.expand(q), frame_id, pin.LOCAL_WORLD_ALIGNED
     )
+    if jacobian.ndim == 1:  # eigenpy gives a matrix of one column as a vector
+        jacobian = jacobian.reshape(6, 1)
     return jacobian if model.expansion is None else np.ascontiguousarray(jacobian @ model.expansion)
 
 

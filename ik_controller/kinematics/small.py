@@ -33,7 +33,7 @@ def jacobi_spectrum(matrix: Array) -> tuple[Array, Array]:
             on += a[i, i] * a[i, i]
             for j in range(i + 1, m):
                 off += a[i, j] * a[i, j]
-        if off <= 1e-34 * on:
+        if off <= 1e-28 * on:
             break
         for p in range(m - 1):
             for q in range(p + 1, m):
@@ -102,6 +102,41 @@ def loop_gram(matrix: Array) -> Array:
             total = 0.0
             for k in range(n):
                 total += matrix[i, k] * matrix[j, k]
+            result[i, j] = total
+            result[j, i] = total
+    return result
+
+
+@compiled
+def inverse_spd(matrix: Array) -> Array:
+    """Return the inverse (m, m) of a symmetric positive definite matrix by Cholesky; zeros where it is not definite."""
+    m = matrix.shape[0]
+    low = np.zeros((m, m))  # L⁻¹ after the second loop
+    result = np.zeros((m, m))
+    for j in range(m):
+        total = matrix[j, j]
+        for k in range(j):
+            total -= low[j, k] * low[j, k]
+        if not total > 1e-14 * matrix[j, j]:
+            return result
+        low[j, j] = math.sqrt(total)
+        for i in range(j + 1, m):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= low[i, k] * low[j, k]
+            low[i, j] = total / low[j, j]
+    for j in range(m):
+        low[j, j] = 1.0 / low[j, j]
+        for i in range(j + 1, m):
+            total = 0.0
+            for k in range(j, i):
+                total -= low[i, k] * low[k, j]
+            low[i, j] = total / low[i, i]
+    for i in range(m):
+        for j in range(i + 1):
+            total = 0.0
+            for k in range(i, m):
+                total += low[k, i] * low[k, j]
             result[i, j] = total
             result[j, i] = total
     return result

@@ -7,6 +7,7 @@ compared: 1.5 µs instead of 20.
 from __future__ import annotations
 
 import contextlib
+import math
 import struct
 from typing import Any
 
@@ -29,6 +30,7 @@ STRING = "std_msgs/msg/String"
 CYCLE = "std_msgs/msg/Int64MultiArray"
 
 _SECOND = 1_000_000_000
+_STAMP = struct.Struct("<iI")
 
 
 def decode(type_name: str, data: bytes) -> Any:
@@ -96,15 +98,44 @@ def _layout(data: bytes) -> tuple[int, int]:
     return at, at + (4 - at) % 8  # numbers are aligned to 8 counted from behind the 4-byte CDR header
 
 
+class StampedReader:
+    """Reads stamp, frame and the numbers behind them of PoseStamped or TwistStamped messages."""
+
+    def __init__(self, type_name: str, count: int) -> None:
+        self._type = type_name
+        self._count = count
+        self._prefix = b""
+        self._length = -1
+        self._at = 0
+        self._frame = ""
+
+    def read(self, data: bytes) -> tuple[int, str, Array]:
+        """Return (stamp [ns], frame, numbers (count,)). Raises MessageError where the bytes are not of the type."""
+        if len(data) != self._length or data[1] != 1 or not data.startswith(self._prefix, 12):
+            self._learn(data)
+        seconds, nanoseconds = _STAMP.unpack_from(data, 4)
+        return seconds * _SECOND + nanoseconds, self._frame, np.frombuffer(data, "<f8", self._count, self._at)
+
+    def _learn(self, data: bytes) -> None:
+        self._length = -1
+        frame = decode(self._type, data).header.frame_id
+        if data[1] != 1:
+            raise MessageError("big-endian messages are not supported")
+        (length,) = struct.unpack_from("<I", data, 12)
+        end = 16 + length
+        self._prefix, self._frame, self._length = data[12:end], frame, len(data)
+        self._at = end + (4 - end) % 8
+
+
 class JointStateReader:
-    """Reads the positions of given joints out of JointState messages, whatever their order and whatever else is there."""
+    """Reads the positions of given joints out of JointState messages, in any order and whatever else is there."""
 
     def __init__(self, joint_names: tuple[str, ...]) -> None:
         self._names = joint_names
         self._prefix = b""
         self._length = -1
         self._at = 0
-        self._order: NDArray[np.intp] = np.zeros(0, dtype=np.intp)
+        self._order: NDArray[np.intp] | None = None  # None: as in the message, all of them
         self._count = 0
         self._rest: tuple[tuple[int, bytes], ...] = ()  # what else must be as learned: where, bytes
 
@@ -115,8 +146,10 @@ class JointStateReader:
         """
         if not self._known(data) and not self._learn(data):
             return None
-        values = np.frombuffer(data, "<f8", self._count, self._at)[self._order]
-        if not np.isfinite(values.dot(values)):  # or its square overflows: no joint is there either
+        values: Array = np.frombuffer(data, "<f8", self._count, self._at)
+        if self._order is not None:
+            values = values[self._order]
+        if not math.isfinite(values.dot(values)):  # or its square overflows: no joint is there either
             index = int(np.argmax(np.fmax(np.abs(values), np.where(np.isnan(values), np.inf, 0.0))))
             raise MessageError(f"position of '{self._names[index]}' is {values[index]}: need finite values")
         return values
@@ -149,7 +182,8 @@ class JointStateReader:
         if data[1] != 1:
             raise MessageError("big-endian JointState messages are not supported")
         end, self._at = _layout(data)
-        self._order = np.array([names.index(name) for name in self._names], dtype=np.intp)
+        in_order = tuple(names) == self._names
+        self._order = None if in_order else np.array([names.index(name) for name in self._names], dtype=np.intp)
         self._count = count
         self._prefix = data[12:end]
         behind = self._at + 8 * count  # the count of velocities, their numbers, the count of efforts
@@ -168,7 +202,6 @@ class JointStateWriter:
         n = len(joint_names)
         empty = message(JOINT_STATE, header(0, ""), list(joint_names), np.zeros(n), np.zeros(n), np.zeros(0))
         self._buffer = bytearray(encode(empty))
-        self._stamp = struct.Struct("<iI")
         self._position = _layout(bytes(self._buffer))[1]
         after = self._position + 8 * n + 4
         self._velocity = after + (4 - after) % 8
@@ -177,7 +210,7 @@ class JointStateWriter:
     def write(self, stamp: int, position: Array, velocity: Array) -> bytes:
         """Return the message's bytes; `stamp` [ns], position (n,) [rad or m], velocity (n,) [rad/s or m/s]."""
         buffer, size = self._buffer, self._size
-        self._stamp.pack_into(buffer, 4, stamp // _SECOND, stamp % _SECOND)
+        _STAMP.pack_into(buffer, 4, stamp // _SECOND, stamp % _SECOND)
         buffer[self._position : self._position + size] = position.tobytes()
         buffer[self._velocity : self._velocity + size] = velocity.tobytes()
         return bytes(buffer)

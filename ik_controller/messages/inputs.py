@@ -1,11 +1,12 @@
 """Inputs: from messages to targets in the base frame. What cannot be used is rejected in one clear line.
 
-Target frames may be any link of the robot model: links fixed to the base by their constant placement, links of the chain
-by forward kinematics at the commanded joints at the moment of arrival.
+Target frames may be any link of the robot model: links fixed to the base by their constant placement, links of the
+chain by forward kinematics at the commanded joints at the moment of arrival.
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -43,10 +44,12 @@ class Frames:
             for name, i in self._ids.items()
             if model.pin_model.frames[i].parentJoint == 0
         }
-        self._fixed[model.base_frame] = pin.SE3.Identity()
+        self.base = self._fixed[model.base_frame] = pin.SE3.Identity()
 
     def placement(self, name: str, q: Array | None) -> Any:
-        """Return the link's `pin.SE3` in the base frame at q (n,). Raises MessageError: empty or unknown frame, no q."""
+        """Return the link's `pin.SE3` in the base frame at q (n,). Raises MessageError: empty or unknown frame, no
+        q.
+        """
         placement = self._fixed.get(name)
         if placement is not None:
             return placement
@@ -66,25 +69,39 @@ class Inputs:
         self._frames = Frames(model)
         self._tip = model.tip_frame
         self._joints = cdr.JointStateReader(model.joint_names)
+        self._poses = cdr.StampedReader(cdr.POSE, 7)
+        self._twists = cdr.StampedReader(cdr.TWIST, 6)
         self._names = model.joint_names
         self._targets = targets
 
     def take(self, role: str, data: bytes, arrival: int, q: Array | None) -> None:
-        """Take one target message of `role` (a key of INPUTS but joint_states). Raises MessageError; takes nothing then."""
-        content = cdr.decode(INPUTS[role], data)
-        getattr(self, "_" + role)(content, data, arrival, q)
+        """Take one target message of `role` (a key of INPUTS but joint_states). Raises MessageError; takes nothing
+        then.
+        """
+        getattr(self, "_" + role)(data, arrival, q)
 
-    def _target_pose(self, content: Any, data: bytes, arrival: int, q: Array | None) -> None:
-        placement = self._frames.placement(content.header.frame_id, q) * _pose(
-            content.pose.position, content.pose.orientation
-        )
-        self._targets.add_pose(cdr.stamp_of(content), arrival, placement.translation.copy(), placement.rotation.copy())
+    def _target_pose(self, data: bytes, arrival: int, q: Array | None) -> None:
+        stamp, frame, numbers = self._poses.read(data)
+        placement = self._frames.placement(frame, q)
+        pose = _pose(numbers.copy())
+        if placement is not self._frames.base:
+            pose = placement * pose
+        self._targets.add_pose(stamp, arrival, pose.translation.copy(), pose.rotation.copy())
 
-    def _target_twist(self, content: Any, data: bytes, arrival: int, q: Array | None) -> None:
-        rotation = self._frames.placement(content.header.frame_id, q).rotation
-        self._targets.add_twist(cdr.stamp_of(content), arrival, _twist(content.twist, rotation))
+    def _target_twist(self, data: bytes, arrival: int, q: Array | None) -> None:
+        stamp, frame, numbers = self._twists.read(data)
+        self._targets.add_twist(stamp, arrival, self._twist(numbers, self._frames.placement(frame, q)))
 
-    def _target_trajectory(self, content: Any, data: bytes, arrival: int, q: Array | None) -> None:
+    def _twist(self, numbers: Array, placement: Any) -> Array:
+        if not math.isfinite(numbers.dot(numbers)):  # or so large that it might as well be
+            raise MessageError(f"twist {numbers.tolist()}: values must be finite")
+        if placement is self._frames.base:
+            return numbers
+        rotation = placement.rotation
+        return np.concatenate((rotation @ numbers[:3], rotation @ numbers[3:]))
+
+    def _target_trajectory(self, data: bytes, arrival: int, q: Array | None) -> None:
+        content = cdr.decode(cdr.TRAJECTORY, data)
         names = list(content.joint_names)
         if names not in ([], [self._tip]):
             raise MessageError(f"joint_names {names}: need none, or the tip frame '{self._tip}'")
@@ -103,12 +120,17 @@ class Inputs:
             if points and time <= points[-1][0]:
                 raise MessageError(f"point {index}: time_from_start must rise from point to point")
             transform = point.transforms[0]
-            placement = frame * _pose(transform.translation, transform.rotation)
-            twist = _twist(point.velocities[0], frame.rotation) if point.velocities else None
+            p, r = transform.translation, transform.rotation
+            placement = frame * _pose(np.array((p.x, p.y, p.z, r.x, r.y, r.z, r.w)))
+            twist = None
+            if point.velocities:
+                v, w = point.velocities[0].linear, point.velocities[0].angular
+                twist = self._twist(np.array((v.x, v.y, v.z, w.x, w.y, w.z)), frame)
             points.append((time, placement.translation.copy(), placement.rotation.copy(), twist))
         self._targets.set_trajectory(arrival, points)
 
-    def _target_joints(self, content: Any, data: bytes, arrival: int, q: Array | None) -> None:
+    def _target_joints(self, data: bytes, arrival: int, q: Array | None) -> None:
+        content = cdr.decode(cdr.JOINT_STATE, data)
         position = self._joints.read(data)
         if position is None:
             raise MessageError(f"none of the joints {choices(self._names)}; the message has: {choices(content.name)}")
@@ -121,23 +143,15 @@ class Inputs:
         self._targets.set_joints(arrival, position.copy(), velocity)
 
 
-def _pose(position: Any, orientation: Any) -> Any:
-    values = np.array((position.x, position.y, position.z, orientation.x, orientation.y, orientation.z, orientation.w))
-    if not np.isfinite(values).all():
+def _pose(values: Array) -> Any:
+    """Return x y z qx qy qz qw, which are overwritten, as a `pin.SE3`."""
+    if not math.isfinite(values.dot(values)) and not np.isfinite(values).all():
         raise MessageError(f"pose {values.tolist()}: values must be finite")
-    norm = float(np.sqrt(values[3:].dot(values[3:])))
+    turn = values[3:]
+    norm = math.sqrt(turn.dot(turn))
     if norm == 0.0:
         raise MessageError("the quaternion is zero: need unit norm; (0, 0, 0, 1) is no rotation")
     if abs(norm - 1.0) > _QUATERNION_TOLERANCE:
         raise MessageError(f"the quaternion has norm {norm:.6g}: need 1 within {_QUATERNION_TOLERANCE:g}")
-    values[3:] /= norm
+    turn /= norm
     return pin.XYZQUATToSE3(values)
-
-
-def _twist(twist: Any, rotation: Array) -> Array:
-    linear, angular = twist.linear, twist.angular
-    v = np.array((linear.x, linear.y, linear.z))
-    w = np.array((angular.x, angular.y, angular.z))
-    if not (np.isfinite(v).all() and np.isfinite(w).all()):
-        raise MessageError(f"twist {v.tolist()}, {w.tolist()}: values must be finite")
-    return np.concatenate((rotation @ v, rotation @ w))

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,6 @@ from ik_controller.session import Session
 Array = NDArray[np.float64]
 
 _NEEDED = (*INPUTS, "events", "joint_commands", "cycle")
-_WAITING = 20_000  # messages that an output bag may lag behind
 
 
 @dataclass
@@ -79,11 +78,10 @@ class Replay:
         }
 
 
-@dataclass(frozen=True)
-class Cycle:
+class Cycle(NamedTuple):
     """One replayed cycle: its record, the Step (None where nothing was commanded) and the recorded command's bytes."""
 
-    index: int
+    number: int
     time: int
     late: int
     work: int
@@ -103,7 +101,9 @@ def session_of(bag: BagReader, changes: Mapping[str, Any]) -> tuple[Session, Run
 def cycles(
     bag: BagReader, session: Session, info: RunInfo, changes: Mapping[str, Any], output: RunWriter | None = None
 ) -> Iterator[Cycle]:
-    """Run the recorded run through `session` and yield cycle by cycle; `changes` stay in force whatever was recorded."""
+    """Run the recorded run through `session` and yield cycle by cycle; `changes` stay in force whatever was
+    recorded.
+    """
     role_of = {topic: role for role, topic in info.topics.items() if role in _NEEDED}
     present = {topic.name for topic in bag.topics}
     recorded: bytes | None = None
@@ -140,7 +140,8 @@ def replay(
     """Replay a bag and compare; see the module.
 
     `changes`: parameters to change, for a what-if run. `robot`: the parameters for a bag that holds no run of ours.
-    `output`: folder of a new bag with the replayed run. `watch` sees the cycles of a run of ours pass. Raises BagError, ParameterError, ModelError.
+    `output`: folder of a new bag with the replayed run. `watch` sees the cycles of a run of ours pass. Raises
+    BagError, ParameterError, ModelError.
     """
     changed = dict(changes or {})
     if RunInfo.of(bag) is None:
@@ -157,7 +158,7 @@ def replay(
     }
     writer = None
     if output is not None:
-        writer = RunWriter(output, session, info.topics, session.parameters.record_compression)
+        writer = RunWriter(output, session, info.topics, patient=True)
     encode = cdr.JointStateWriter(session.model.joint_names)
     first = last = 0
     session.warm_up()
@@ -180,9 +181,8 @@ def replay(
             if data is not None:
                 writer.write("joint_commands", cycle.time, data)
             writer.cycle(
-                cycle.index, cycle.time, int(session.status.code), cycle.late, cycle.work, int(data is not None)
+                cycle.number, cycle.time, int(session.status.code), cycle.late, cycle.work, int(data is not None)
             )
-            _wait_for(writer)
     result.elapsed = time.perf_counter() - begin
     result.duration = (last - first) * 1e-9
     result.rejected, result.last_rejected = sum(session.rejected.values()), session.last_rejected
@@ -193,7 +193,7 @@ def replay(
 
 def _note_difference(result: Replay, cycle: Cycle, encode: cdr.JointStateWriter) -> None:
     if result.first_difference is None:
-        result.first_difference = cycle.index
+        result.first_difference = cycle.number
     result.identical = False
     if cycle.step is None or cycle.recorded is None:
         result.max_difference = float("inf")
@@ -204,13 +204,6 @@ def _note_difference(result: Replay, cycle: Cycle, encode: cdr.JointStateWriter)
         result.max_difference = float("inf")
         return
     result.max_difference = max(result.max_difference, float(np.abs(cycle.step.position - recorded).max()))
-
-
-def _wait_for(writer: RunWriter) -> None:
-    """Let the output bag keep up: nothing may be lost here, and nothing is in a hurry."""
-    if writer.pending() > _WAITING:
-        while writer.pending() > _WAITING // 2:
-            time.sleep(0.01)
 
 
 def _run_foreign(bag: BagReader, parameters: ControllerParameters, output: Path | None) -> Replay:
@@ -224,7 +217,7 @@ def _run_foreign(bag: BagReader, parameters: ControllerParameters, output: Path 
     else:
         targets, start = _joints_as_poses(bag, session)
     result = Replay(complete=bag.complete)
-    writer = RunWriter(output, session, default_topics(), parameters.record_compression) if output else None
+    writer = RunWriter(output, session, default_topics(), patient=True) if output else None
     arm = SimulatedArm(start)
     encode = cdr.JointStateWriter(model.joint_names)
     epoch = 1_000_000_000_000_000_000
@@ -258,7 +251,6 @@ def _run_foreign(bag: BagReader, parameters: ControllerParameters, output: Path 
                 command = encode.write(now + session.period, step.position, step.velocity)
                 writer.write("joint_commands", now, command)
             writer.cycle(index, now, int(session.status.code), 0, 0, int(step is not None))
-            _wait_for(writer)
         index += 1
     result.cycles = index
     result.elapsed = time.perf_counter() - begin
@@ -271,7 +263,9 @@ def _run_foreign(bag: BagReader, parameters: ControllerParameters, output: Path 
 
 
 def _joints_as_poses(bag: BagReader, session: Session) -> tuple[list[TimedTarget], Array]:
-    """Return the tool poses of a bag's joint states, and the first joint positions. Raises BagError where there is none."""
+    """Return the tool poses of a bag's joint states, and the first joint positions. Raises BagError where there is
+    none.
+    """
     topics = [topic.name for topic in bag.topics if topic.type_name == cdr.JOINT_STATE]
     if not topics:
         raise BagError(f"bag '{bag.path}' has neither targets nor joint states")

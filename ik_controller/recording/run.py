@@ -72,11 +72,15 @@ def _processor() -> str:
 
 
 class RunWriter:
-    """Records a session's run into a folder that must be new or empty; `write` and `cycle` never wait and never raise."""
+    """Records a session's run into a folder that must be new or empty; `write` and `cycle` never wait and never
+    raise.
+    """
 
-    def __init__(self, folder: Path, session: Session, topics: dict[str, str], compression: str = "zstd") -> None:
-        """Raises BagError where the folder cannot be written."""
-        self.writer = BagWriter(folder, compression=compression)
+    def __init__(self, folder: Path, session: Session, topics: dict[str, str], patient: bool = False) -> None:
+        """`patient`: wait rather than lose, for runs that are not in real time. Raises BagError where the folder cannot
+        be written.
+        """
+        self.writer = BagWriter(folder, compression=session.parameters.record_compression, patient=patient)
         self.folder = folder
         latched = Qos(durability="transient_local", depth=1)
         self._channels = {
@@ -111,10 +115,6 @@ class RunWriter:
     def cycle(self, index: int, now: int, code: int, late: int, work: int, published: int) -> None:
         """Close a cycle; see `cdr.encode_cycle`."""
         self.writer.write(self._cycle, now, cdr.encode_cycle(index, now, code, late, work, published))
-
-    def pending(self) -> int:
-        """Return how many messages wait to be written."""
-        return self.writer.status().waiting
 
     def close(self) -> WriterStatus:
         """Seal the bag."""

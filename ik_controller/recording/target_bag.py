@@ -56,7 +56,7 @@ def load_targets(path: str | Path, topics: Iterable[str] = ()) -> list[TimedTarg
 
 def write_targets(folder: Path, targets: Iterable[TimedTarget], start: int, node: str = "/ik_controller") -> None:
     """Write a bag of targets that begins at `start` [ns]; the messages' own stamps stay. Raises BagError."""
-    writer = BagWriter(folder)
+    writer = BagWriter(folder, patient=True)
     channels = {role: writer.channel(f"{node}/{role}", kind) for kind, role in _ROLE_OF_TYPE.items()}
     for target in targets:
         writer.write(channels[target.role], start + target.time, target.data)

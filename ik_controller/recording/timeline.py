@@ -47,7 +47,9 @@ class Timeline:
 
     @property
     def table(self) -> Array:
-        """The signals, a row a cycle: time [s], tool x y z [m], error (6,) [m, rad], share of the speed limits, followed."""
+        """The signals, a row a cycle: time [s], tool x y z [m], error (6,) [m, rad], share of the speed limits,
+        followed.
+        """
         return np.array(self._rows).reshape(-1, 12)
 
     def period_percentiles(self) -> tuple[float, float]:

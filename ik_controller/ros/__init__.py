@@ -1,4 +1,4 @@
-"""ROS: the node, its loop, parameters as ROS parameters, the simulated arm and the target streamer. Alone imports rclpy."""
+"""ROS: the node, its loop, its parameters, the simulated arm and the target streamer. Alone imports rclpy."""
 
 import os
 import sys

@@ -2,8 +2,8 @@
 
     python -m ik_controller.ros.baseline relay|sleep
 
-The relay polls the node's subscriptions, sends each joint state on as joint_commands, and does nothing else. Both run at
-1 kHz until SIGTERM or SIGINT, and then print one JSON object: cycles, period_p99_us.
+The relay polls the node's subscriptions, sends each joint state on as joint_commands, and does nothing else. Both run
+at 1 kHz until SIGTERM or SIGINT, and then print one JSON object: cycles, period_p99_us.
 """
 
 from __future__ import annotations

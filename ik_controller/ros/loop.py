@@ -1,8 +1,8 @@
 """Loop: cycles at absolute deadlines on the monotonic clock, with the ROS time that belongs to each.
 
 Deadlines and times are those of an even grid, so the commands of a run are dt apart to the nanosecond. A cycle that is
-late does not shift the next; after a longer hold-up the cycles that were due run one after the other. A process that was
-stopped for longer than `STALL` does not catch up: the grid goes on from now and `on_stall` is told.
+late does not shift the next; after a longer hold-up the cycles that were due run one after the other. A process that
+was stopped for longer than `STALL` does not catch up: the grid goes on from now and `on_stall` is told.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Polling: subscriptions that the loop empties itself, as the bytes on the wire.
 
-An executor rebuilds its wait set in Python at every wake-up; polling costs a fifth of that, and makes a cycle a function
-of the messages taken at its start, which is what makes exact replay possible.
+An executor rebuilds its wait set in Python at every wake-up; polling costs a fifth of that, and makes a cycle a
+function of the messages taken at its start, which is what makes exact replay possible.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""`ik_controller bench`: what a step, a replayed cycle and the node cost, each as a ratio to something timed beside it."""
+"""`ik_controller bench`: what a step, a replayed cycle and the node cost, each as a ratio to something timed beside
+it.
+"""
 
 from __future__ import annotations
 
@@ -96,27 +98,26 @@ def _steps() -> list[dict[str, Any]]:
 
     count = 2 * _BATCH * _ROUNDS
     references = [Reference.between(figure(k), figure(k + 1), dt) for k in range(count)]
-    poses = [pin.SE3(reference.rotation, reference.position) for reference in references]
+    poses = [figure(k) for k in range(count)]
+    twists = [np.asarray(reference.twist) for reference in references]
     data = model.pin_model.createData()
 
     def stepper(controller: Controller) -> Callable[[], object]:
         controller.reset(posture)
-        position = posture
         upcoming = iter(references * 2)
 
-        def step() -> None:
-            nonlocal position
-            position = controller.step(position, next(upcoming), dt).position
+        def step() -> object:
+            return controller.step(controller.position, next(upcoming), dt)
 
         return step
 
     def textbook() -> Callable[[], object]:
         q = posture
-        upcoming = iter(zip(references * 4, poses * 4, strict=True))
+        upcoming = iter(zip(twists * 4, poses * 4, strict=True))
 
         def step() -> None:
             nonlocal q
-            reference, pose = next(upcoming)
+            twist, pose = next(upcoming)
             pin.computeJointJacobians(model.pin_model, data, q)
             pin.updateFramePlacement(model.pin_model, data, model.tool_id)
             jacobian = pin.getFrameJacobian(model.pin_model, data, model.tool_id, pin.LOCAL_WORLD_ALIGNED)
@@ -125,7 +126,7 @@ def _steps() -> list[dict[str, Any]]:
             error = np.concatenate((pose.translation - tool.translation, turn))
             inverse = np.linalg.pinv(jacobian)
             null = (np.eye(model.n) - inverse @ jacobian) @ (posture - q)
-            velocity = inverse @ (reference.twist + 50.0 * error) + null
+            velocity = inverse @ (twist + 50.0 * error) + null
             velocity = np.clip(velocity, -model.velocity_limit, model.velocity_limit)
             q = np.clip(q + dt * velocity, model.lower, model.upper)
 
