@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ik_controller.control.bounded import bounded_velocity
-from ik_controller.control.kernel import tool_cycle
-from ik_controller.control.law import Law
+from ik_controller.control.kernel import braking_factor, tool_cycle
+from ik_controller.control.law import BRAKING_SHARE, Law
 from ik_controller.control.limits import JointLimits
 from ik_controller.control.reference import Reference
 from ik_controller.control.status import Code, Limit, Status
