@@ -21,7 +21,7 @@ from ik_controller.kinematics.small import gram, times, transposed_times
 Array = NDArray[np.float64]
 
 ENDLESS = 1e18  # room ahead of a joint without bounds [rad or m]
-# The feedback K e is slowed as a whole to these speeds of the tool along any axis: as fast as arms are.
+# Near a singularity the feedback K e is slowed as a whole to these speeds of the tool along any axis.
 FASTEST_APPROACH = 1.5  # [m/s]
 FASTEST_TURN = 3.0  # [rad/s]
 
@@ -54,6 +54,21 @@ def braking_factor(approach: Array, fastest: float, acceleration: Array) -> floa
 
 
 @compiled
+def unhurried(feedback: Array, sigma: float, threshold: float) -> Array:
+    """Return K e (6,), slowed while σ_min is below 4 ε, and in full below 2 ε.
+
+    A target beyond reach has a large e for good: J⁺ K e then changes sign at the stretched arm faster than the joints
+    can brake, and throws the arm through the singularity again and again.
+    """
+    if sigma >= 4.0 * threshold:
+        return feedback
+    near = min(2.0 - 0.5 * sigma / threshold, 1.0)
+    haste = max(np.max(np.abs(feedback[:3])) / FASTEST_APPROACH, np.max(np.abs(feedback[3:])) / FASTEST_TURN, 1.0)
+    slowed: Array = feedback / (1.0 + near * (haste - 1.0))
+    return slowed
+
+
+@compiled
 def task_velocity(
     jacobian: Array,
     inverse: Array,
@@ -69,9 +84,7 @@ def task_velocity(
     `feed_forward` ẋ_d and `feedback` K e (6,); `fastest` the largest eigenvalue of K; `braking` (n,) the accelerations
     that β plans with; `seek` (n,) = q̇₀, slowed as a whole to stay below `seek_limit` (n,).
     """
-    # A target far beyond reach must not throw the arm through the singularity at its reach's edge, again and again.
-    haste = max(np.max(np.abs(feedback[:3])) / FASTEST_APPROACH, np.max(np.abs(feedback[3:])) / FASTEST_TURN, 1.0)
-    approach = transposed_times(jacobian, times(inverse, feedback / haste))
+    approach = transposed_times(jacobian, times(inverse, feedback))
     null = seek / max(np.max(np.abs(seek) / seek_limit), 1.0)
     steady = null + transposed_times(jacobian, times(inverse, feed_forward - times(jacobian, null)))
     return steady + braking_factor(approach, fastest, braking) * approach
@@ -113,6 +126,7 @@ def tool_cycle(
         feedback = times(gain, error)
     kinematics(chain, at + (0.5 * dt) * v, rotation, position, jacobian)
     inverse, sigma = damped_gram_inverse(gram(jacobian), damping, threshold)
+    feedback = unhurried(feedback, sigma, threshold)
     seek = posture_gain * (posture - at)
     wanted = task_velocity(jacobian, inverse, feed_forward, feedback, fastest, braking, seek, seek_limit)
     reach[:] = velocity_interval(q, v, dt, limits[0], limits[1], limits[2])
