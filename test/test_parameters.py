@@ -117,7 +117,11 @@ def test_any_positive_definite_gain_below_the_rate_is_taken(rates, seed):
 @given(st.lists(st.floats(0.1, 900.0), min_size=6, max_size=6), st.integers(0, 2**32 - 1), st.integers(0, 5))
 def test_an_indefinite_or_too_fast_gain_is_refused(rates, seed, index):
     basis = np.linalg.qr(np.random.default_rng(seed).normal(size=(6, 6)))[0]
-    for wrong, text in ((-0.01, "must be positive definite"), (0.0, "must be positive definite"), (1100.0, "must be ≤ 1")):
+    for wrong, text in (
+        (-0.01, "must be positive definite"),
+        (0.0, "must be positive definite"),
+        (1100.0, "must be ≤ 1"),
+    ):
         values = list(rates)
         values[index] = wrong
         if wrong != 0.0:  # zero comes out of a product of matrices as round-off of either sign
@@ -214,7 +218,9 @@ def test_the_table_tells_of_every_parameter():
     text = table()
     rows = [line for line in text.splitlines() if line.startswith("| `")]
     assert len(rows) == len(SPECS)
-    for spec, row in zip(SPECS.values(), sorted(rows, key=lambda row: list(SPECS).index(row.split("`")[1])), strict=True):
+    for spec, row in zip(
+        SPECS.values(), sorted(rows, key=lambda row: list(SPECS).index(row.split("`")[1])), strict=True
+    ):
         assert row.startswith(f"| `{spec.name}` |")
         assert row.count("|") == 7
         assert spec.description in row

@@ -98,7 +98,7 @@ def test_one_redundant_joint_is_used_before_slowing_down(seed, n, around_zero):
 @settings(max_examples=100)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([(6, 7), (6, 6), (3, 7), (2, 5), (6, 3)]), st.booleans())
 def test_optimality_conditions(seed, shape, around_zero):
-    """No direction that the constraints leave open improves the objective (first order, by projection on the free part)."""
+    """No direction that the constraints leave open improves the objective (first order)."""
     m, n = shape
     args = problem(np.random.default_rng(seed), m, n, around_zero)
     wanted, J, eigenvalues, _, low, high, velocity_limit = args

@@ -139,7 +139,7 @@ def test_zero_stamps_mean_the_time_of_arrival(mode):
 
 @pytest.mark.parametrize("mode", ["extrapolate", "interpolate"])
 def test_repeated_stamps_and_quaternion_signs_do_no_harm(mode):
-    """Rotations come in as matrices, so a change of sign of the quaternion is none; repeats replace what they repeat."""
+    """Rotations come in as matrices, so a sign of the quaternion is none; repeats replace what they repeat."""
     messages = stream(ARRIVALS["on time"])
     twice = [message for message in messages for _ in range(2)]
     now, then = errors(mode, twice)

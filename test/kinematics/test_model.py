@@ -282,7 +282,10 @@ def test_a_broken_urdf_gets_one_clear_line(urdf, text, capfd):
         ({"tip_frame": "c", "base_frame": "z"}, "base frame 'z' is not a link of 'r'; there are: a, b, c"),
         ({"tip_frame": "a", "base_frame": "c"}, "tip frame 'a' does not hang below base frame 'c'"),
         ({"tip_frame": "b", "base_frame": "b"}, "no movable joint between 'b' and 'b'"),
-        ({"tip_frame": "b", "locked_joints": {"x": 1.0}}, "locked joint 'x' is not a joint outside the chain; there are: j2"),
+        (
+            {"tip_frame": "b", "locked_joints": {"x": 1.0}},
+            "locked joint 'x' is not a joint outside the chain; there are: j2",
+        ),
         ({"tip_frame": "b", "locked_joints": {"j1": 1.0}}, "locked joint 'j1' is not a joint outside the chain"),
         ({"tip_frame": "b", "locked_joints": {"j2": math.nan}}, "locked joint 'j2': nan is not finite"),
         ({"tip_frame": "c", "tool_offset": [1, 2, 3]}, "tool_offset: need 7 values x y z qx qy qz qw, got shape (3,)"),
