@@ -46,7 +46,7 @@ setup(
         "daqp>=0.7",
     ],
     extras_require={
-        "fast": ["numba>=0.60", "scipy>=1.11"],
+        "fast": ["numba>=0.60"],
         "ros": ["ros-jazzy-rclpy", "ros-jazzy-common-interfaces", "ros-jazzy-rmw-fastrtps-cpp"],
         "test": ["pytest", "hypothesis", "mcap-ros2-support", "example-robot-data"],
     },

@@ -22,7 +22,7 @@ FILES = {
     "requirements.txt": (
         "What the package needs to run and to be installed, ROS apart; numba is optional and speeds up offline work.",
         ["numpy", "pin", "mcap", "rosbags", "PyYAML", "zstandard", "lz4", "matplotlib", "daqp",
-         "numba", "scipy", "setuptools"],
+         "numba", "setuptools"],
     ),
     "requirements-dev.txt": (
         "What tests and lint need besides.",
