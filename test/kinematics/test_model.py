@@ -235,7 +235,7 @@ def test_limits_that_make_no_sense_are_refused_and_change_nothing(limits, text):
 BROKEN = {
     "not XML": ("<robot", "not well-formed XML"),
     "another root": ("<sdf/>", "the root element is <sdf>, need <robot>"),
-    "xacro": ('<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include/></robot>', "this is xacro, expand it first"),
+    "xacro": ('<robot xmlns:xacro="http://ros.org/wiki/xacro"><xacro:include/></robot>', "this is xacro, expand it"),
     "no links": ('<robot name="r"/>', "need one root link, found 0: (none)"),
     "two roots": (robot("abcd", joint("j1", "revolute", "a", "b", LIMIT)), "need one root link, found 3: a, c, d"),
     "unknown parent": (TWO.replace('parent link="a"', 'parent link="z"'), "joint 'j1' names link 'z'"),
@@ -250,15 +250,15 @@ BROKEN = {
     "doubled joint": (TWO.replace('"j2"', '"j1"'), "two joints have the same name"),
     "doubled link": (TWO.replace("</robot>", '<link name="b"/></robot>'), "two links have the same name"),
     "nameless joint": (TWO.replace('name="j1"', ""), "a joint has no name"),
-    "two parents": (TWO.replace("</robot>", joint("j3", "fixed", "a", "c") + "</robot>"), "link 'c' hangs on two joints"),
+    "two parents": (TWO.replace("</robot>", joint("j3", "fixed", "a", "c") + "</robot>"), "'c' hangs on two joints"),
     "loop": (
         robot("abc", joint("j1", "revolute", "b", "c", LIMIT), joint("j2", "fixed", "c", "b")),
         "the links b, c form a loop that hangs on nothing",
     ),
-    "mimics nobody": (TWO.replace(LIMIT, LIMIT + '<mimic joint="x"/>', 1), "joint 'j1' mimics 'x', which does not exist"),
+    "mimics nobody": (TWO.replace(LIMIT, LIMIT + '<mimic joint="x"/>', 1), "mimics 'x', which does not exist"),
     "mimics itself": (TWO.replace(LIMIT, LIMIT + '<mimic joint="j1"/>', 1), "joint 'j1' mimics itself"),
     "mimics by zero": (
-        TWO.replace(LIMIT, LIMIT + '<mimic joint="j2" multiplier="0"/>', 1), "<mimic multiplier='0'> leaves it no motion"),
+        TWO.replace(LIMIT, LIMIT + '<mimic joint="j2" multiplier="0"/>', 1), "multiplier='0'> leaves it no motion"),
     "mimic out of range": (
         TWO.replace(LIMIT, LIMIT + '<mimic joint="j2" offset="9"/>', 1), "their limits leave no motion in common"),
     "planar joint in the chain": (TWO.replace('"revolute"', '"planar"', 1), "joint 'j1' between 'a' and 'c' is planar"),
