@@ -311,7 +311,11 @@ def _spin(executor: Any) -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Run the node as a process: exit code 0 after SIGINT or SIGTERM, 2 for a mistake in its configuration."""
     # rclpy's own handlers would shut the context down before the stop command can go out.
-    rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # a malformed ROS argument, or a parameter file that cannot be read
+        print(f"ik_controller_node: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
     node: ControllerNode | None = None
     stopped = False
 
