@@ -6,12 +6,14 @@ machine hear each other. Waiting is for a condition with a deadline, never for a
 
 from __future__ import annotations
 
+import fcntl
 import importlib.util
 import itertools
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -41,6 +43,7 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE = 60.0  # [s] before anything that should happen is taken for not happening
 _DOMAINS = itertools.count(os.getpid())
+_LOCKS: list[Any] = []
 
 NODE = [sys.executable, "-m", "ik_controller.ros.node"]
 CLI = [sys.executable, "-m", "ik_controller.cli"]
@@ -80,8 +83,18 @@ def figure_bag(folder: Path, seconds: float, robot: str = "panda") -> Path:
 
 
 def next_domain() -> int:
-    """Return a ROS domain nobody else in this process has."""
-    return 1 + next(_DOMAINS) % 100
+    """Return a ROS domain that no other run of these tests on this machine has, locked until this process ends."""
+    for number in itertools.islice(_DOMAINS, 100):
+        domain = 1 + number % 100
+        lock = (Path(tempfile.gettempdir()) / f"ik_controller_test_domain_{domain}").open("w")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            lock.close()
+            continue
+        _LOCKS.append(lock)
+        return domain
+    raise AssertionError("all 100 ROS domains are taken")
 
 
 def environment(domain: int) -> dict[str, str]:
