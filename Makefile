@@ -17,6 +17,7 @@ endif
 # Stamps, each written last, so that an interrupted installation is done again; named for what .venv was made from.
 PACKAGES := $(VENV)/packages-$(subst /,_,$(PYTHON))-$(ROS)
 READY := $(PACKAGES)-ready
+KERNELS := $(PACKAGES)-kernels
 DEV := $(PACKAGES)-dev
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input --quiet install
 # Bytecode on all cores and without the libraries' own tests takes half of pip's time.
@@ -24,13 +25,13 @@ COMPILE := $(BIN)/python -m compileall -q -q -j 0 -x '/tests?/' $(VENV)/lib
 
 .PHONY: demo test soak lint bench bench-peers docs install clean help
 
-demo: $(READY)  ## the main job: simulated arm, node and target streamer over DDS, recorded, replayed, drawn
+demo: $(KERNELS)  ## the main job: simulated arm, node and target streamer over DDS, recorded, replayed, drawn
 	@$(BIN)/ik_controller demo
 
-test: $(READY) $(DEV)  ## the test suite
+test: $(KERNELS) $(DEV)  ## the test suite
 	@$(BIN)/python -m pytest -m "not soak"
 
-soak: $(READY) $(DEV)  ## checks too long for every day
+soak: $(KERNELS) $(DEV)  ## checks too long for every day
 	@$(BIN)/python -m pytest -m soak
 
 lint: $(READY) $(DEV)  ## ruff and mypy
@@ -38,17 +39,17 @@ lint: $(READY) $(DEV)  ## ruff and mypy
 	@$(BIN)/ruff format --check .
 	@$(BIN)/mypy
 
-bench: $(READY)  ## benchmarks
+bench: $(KERNELS)  ## benchmarks
 	@$(BIN)/ik_controller bench
 
-bench-peers: $(READY)  ## the same jobs by other libraries, each in an environment of its own
+bench-peers: $(KERNELS)  ## the same jobs by other libraries, each in an environment of its own
 	@$(BIN)/python test/benchmark/peers
 
-docs: $(READY)  ## the parts of the documentation that are made from the code
+docs: $(KERNELS)  ## the parts of the documentation that are made from the code
 	@$(BIN)/python scripts/make_docs.py
 	@set -e; for script in docs/pictures*.py; do $(BIN)/python $$script; done
 
-install: $(READY) $(DEV)  ## .venv alone
+install: $(KERNELS) $(DEV)  ## .venv alone
 
 clean:  ## remove .venv and what builds leave behind; recorded runs stay
 	@rm -rf $(VENV) $(VENV)-peers build install log dist *.egg-info .pytest_cache .hypothesis .mypy_cache .ruff_cache
@@ -68,6 +69,11 @@ $(PACKAGES): $(REQUIREMENTS) scripts/check_python.py
 
 $(READY): $(PACKAGES) setup.py pyproject.toml
 	@$(PIP) --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(KERNELS): $(READY) $(wildcard ik_controller/control/*.py ik_controller/kinematics/*.py)
+	@echo "Compiling the control kernels that have changed ..."
+	@$(BIN)/python scripts/warm_up.py
 	@touch $@
 
 $(DEV): $(PACKAGES) requirements-dev.txt
