@@ -58,7 +58,7 @@ def iterate(
 
     Where it does not converge, q is the iterate nearest to the pose, not the last.
     `step(k)` gives Λ's diagonal at iteration k; `clamp` [rad or m] is the most a joint moves in an iteration. The
-    tolerances hold for the two parts of the task's own error e, as in the notes.
+    tolerances hold for the two parts of the task's own error e, as in the notes, and for the pose itself.
     """
     model = chain.model
     rotation, position, jacobian = np.empty((3, 3)), np.empty(3), np.empty((6, model.n))
@@ -73,7 +73,9 @@ def iterate(
             best = (math.hypot(*pose_error), q.copy(), pose_error)
         if history is not None:
             history.append(Iterate(attempt, k, q.copy(), *pose_error))
-        if np.linalg.norm(error[:3]) <= tolerance[0] and np.linalg.norm(error[3:]) <= tolerance[1]:
+        small = np.linalg.norm(error[:3]) <= tolerance[0] and np.linalg.norm(error[3:]) <= tolerance[1]
+        # A space twist carries the lever arm to the base, and some orientation errors vanish at π too.
+        if small and pose_error[0] <= tolerance[0] and pose_error[1] <= tolerance[1]:
             return CONVERGED, k, *pose_error
         gradient = task_jacobian.T @ error
         free = ~(((q <= lower) & (gradient < 0.0)) | ((q >= upper) & (gradient > 0.0)))

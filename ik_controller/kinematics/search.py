@@ -101,7 +101,8 @@ def _unsolved(
         if ended == CONVERGED and own:
             return Solution(True, "converged", q, linear, angular, (q,), total, number, tuple(kept or ()))
         if ended == CONVERGED:  # the pose can be reached from here, but not by these iterations
-            return Solution(False, "iterations", *end[1:4], (), total, number, tuple(kept or ()))
+            reason = "local_minimum" if end.ended == STATIONARY else "iterations"
+            return Solution(False, reason, *end[1:4], (), total, number, tuple(kept or ()))
         polished.append(_End(linear * linear + angular * angular, q, linear, angular, ended))
     polished.sort(key=lambda one: one.cost)
     nearest = polished[0]

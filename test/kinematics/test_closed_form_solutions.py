@@ -62,14 +62,15 @@ def within_reach(model, form, q):
     h, base = screws.axis[1], screws.point[1]
     point = screws.meeting_point(3, 4, 5) if "PUMA" in form.name else screws.meeting_point(4, 5)
     p = pose.act(point)
-    # θ₁ by dense sampling: sign changes of h · e^{-S₁θ₁} p − h · point
-    grid = np.linspace(-math.pi, math.pi, 2001)
-    values = [h @ (screws.move(0, -t, p) - point) for t in grid]
+    # θ₁: h · e^{-S₁θ₁} p − h · point is a cos θ₁ + b sin θ₁ + c; three samples give it, t = tan θ₁/2 makes it quadratic.
+    at_0, at_half_pi, at_pi = (h @ (screws.move(0, -t, p) - point) for t in (0.0, math.pi / 2, math.pi))
+    c = 0.5 * (at_0 + at_pi)
+    a, b = at_0 - c, at_half_pi - c
     count = 0
-    for k in range(2000):
-        if values[k] * values[k + 1] >= 0.0:
+    for root in np.roots([c - a, 2.0 * b, c + a]):
+        if abs(root.imag) > 0.0:
             continue
-        theta1 = grid[k] - values[k] * (grid[k + 1] - grid[k]) / (values[k + 1] - values[k])
+        theta1 = 2.0 * math.atan(root.real)
         y = screws.move(0, -theta1, p)
         flat = np.eye(3) - np.outer(h, h)
         if "PUMA" in form.name:

@@ -166,6 +166,27 @@ def test_newton_with_other_orientation_errors(error):
     assert solve_ik(PANDA, PANDA.forward(q), q + 0.1, "newton", orientation_error=error).converged
 
 
+def test_an_orientation_error_that_vanishes_at_pi_is_no_solution():
+    """½ Σ rᵢ × r_id is zero half a turn away (N4): e is within any tolerance there, the answer must still be no."""
+    q = np.array([0.1, 0.4, -0.8, 0.3, 0.6, -0.2])
+    turned = PUMA.forward(q) * pin.SE3(pin.exp3(np.array([math.pi, 0.0, 0.0])), np.zeros(3))
+    solution = solve_ik(PUMA, turned, q, "newton", orientation_error="instantaneous", max_iterations=20)
+    assert not solution.converged
+    assert solution.orientation_error_rad == pytest.approx(math.pi, abs=1e-6)
+
+
+@pytest.mark.parametrize("frame", ["base", "body", "space"])
+def test_converged_means_within_both_tolerances_in_every_frame(frame):
+    rng = np.random.default_rng(51)
+    for _ in range(20):
+        q = random_configuration(PANDA, rng)
+        solution = solve_ik(PANDA, PANDA.forward(q), q + 0.1, "newton", frame=frame, position_tolerance=1e-4,
+                            orientation_tolerance=1e-3)  # fmt: skip
+        if solution.converged:
+            assert solution.position_error_m <= 1e-4
+            assert solution.orientation_error_rad <= 1e-3
+
+
 def test_step_as_number_diagonal_and_schedule():
     start, pose, free = (0.25, 0.75), pose_at(0.2, 1.3), {"respect_limits": False}
     full = solve_ik(PLANAR, pose, start, "newton", axes="xy", history=True, max_iterations=1, **free).history[1].q
