@@ -185,6 +185,8 @@ def replay(
             )
     result.elapsed = time.perf_counter() - begin
     result.duration = (last - first) * 1e-9
+    if not result.commands:  # nothing was compared, so nothing is known
+        result.identical = None
     result.rejected, result.last_rejected = sum(session.rejected.values()), session.last_rejected
     if writer is not None:
         writer.close()
