@@ -1,0 +1,235 @@
+"""Replay: bit for bit, what-if, a new bag that replays again, foreign bags, damaged ones, golden ones, memory."""
+
+from __future__ import annotations
+
+import shutil
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ik_controller.errors import BagError, ParameterError
+from ik_controller.messages import cdr
+from ik_controller.recording.reader import open_bag
+from ik_controller.recording.replay import replay
+from ik_controller.recording.run import METADATA, RunInfo
+from ik_controller.recording.target_bag import TimedTarget, load_targets, write_targets
+from ik_controller.recording.writer import BagWriter
+from ik_controller.robots import build_model, bundled_parameters
+
+BAGS = Path(__file__).resolve().parents[2] / "bags"
+PANDA = bundled_parameters("panda").replace({"rate": 200.0})
+MODEL = build_model(PANDA)
+START = 1_700_000_000_000_000_000
+
+
+def sine(seconds: float, frame: str = "panda_link0") -> list[TimedTarget]:
+    """Poses and twists at 100 Hz: the tool swings by 5 cm."""
+    home = MODEL.forward(np.array(PANDA.posture))
+    targets = []
+    for index in range(round(100 * seconds)):
+        time = index * 10_000_000
+        pose = home.copy()
+        pose.translation = home.translation + np.array([0.0, 0.05 * np.sin(0.06 * index) ** 3, 0.0])
+        rate = 0.05 * 3.0 * np.sin(0.06 * index) ** 2 * np.cos(0.06 * index) * 6.0
+        twist = np.array([0.0, rate, 0.0, 0.0, 0.0, 0.0])
+        targets.append(TimedTarget(time, "target_pose", cdr.pose_message(START + time, frame, pose)))
+        targets.append(TimedTarget(time, "target_twist", cdr.twist_message(START + time, frame, twist)))
+    return targets
+
+
+@pytest.fixture(scope="module")
+def targets(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag with targets only."""
+    folder = tmp_path_factory.mktemp("bags") / "targets"
+    write_targets(folder, sine(2.0), START)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def run(targets: Path) -> Path:
+    """A bag of a run: the targets on the ideal arm."""
+    folder = targets.parent / "run"
+    result = replay(open_bag(targets), robot=PANDA, output=folder)
+    assert result.identical is None
+    assert result.commands > 400
+    return folder
+
+
+def altered(run: Path, folder: Path, change) -> Path:
+    """Copy a run; `change(number, message)` returns the new bytes or None to leave a message out."""
+    bag = open_bag(run)
+    writer = BagWriter(folder, patient=True)
+    for name in bag.metadata_names():
+        if name == METADATA:
+            writer.metadata(name, bag.metadata(name))
+    channels = {topic.name: writer.channel(topic.name, topic.type_name) for topic in bag.topics}
+    counts: dict[str, int] = {}
+    for message in bag.messages():
+        number = counts[message.topic] = counts.get(message.topic, -1) + 1
+        data = change(number, message)
+        if data is not None:
+            writer.write(channels[message.topic], message.log_time_ns, data)
+    writer.close()
+    return folder
+
+
+def test_targets_alone_run_on_the_ideal_arm_and_are_followed(targets: Path) -> None:
+    result = replay(open_bag(targets), robot=PANDA)
+    assert (result.identical, result.first_difference, result.rejected) == (None, None, 0)
+    errors = result.errors.as_mapping()
+    assert errors["position_rms_m"] < 2e-4
+    assert errors["orientation_rms_rad"] < 1e-4
+    assert 2.0 < result.duration < 2.5
+
+
+def test_a_run_replays_bit_identically_and_so_does_the_replays_bag(run: Path, tmp_path: Path) -> None:
+    result = replay(open_bag(run), output=tmp_path / "again")
+    assert result.identical is True
+    assert result.max_difference == 0.0
+    assert result.real_time_factor > 0.0
+    again = replay(open_bag(tmp_path / "again"))
+    assert again.identical is True
+    assert (again.commands, again.cycles) == (result.commands, result.cycles)
+    old, new = ([m.data for m in open_bag(b).messages(["/joint_commands"])] for b in (run, tmp_path / "again"))
+    assert old == new
+
+
+@pytest.mark.parametrize("place", [-1, -57, 4], ids=["a velocity", "a position", "the stamp"])
+def test_one_changed_byte_is_found_in_its_cycle(run: Path, tmp_path: Path, place: int) -> None:
+    """`place` of the byte: in the last velocity, in the positions' numbers, in the stamp."""
+    cycles: list[int] = []
+
+    def change(number, message):
+        if message.topic.endswith("/cycle"):
+            cycles.append(cdr.decode_cycle(message.data)[0])
+        if message.topic == "/joint_commands" and number == 123:
+            data = bytearray(message.data)
+            data[place - (12 if place == -1 else 0)] ^= 1
+            change.before = len(cycles)
+            return bytes(data)
+        return message.data
+
+    bag = altered(run, tmp_path / "changed", change)
+    result = replay(open_bag(bag))
+    assert result.identical is False
+    assert result.first_difference == cycles[change.before]
+
+
+def test_a_missing_command_is_a_difference(run: Path, tmp_path: Path) -> None:
+    drop = lambda number, m: None if m.topic == "/joint_commands" and number == 50 else m.data  # noqa: E731
+    result = replay(open_bag(altered(run, tmp_path / "changed", drop)))
+    assert result.identical is False
+    assert result.first_difference is not None
+    assert result.max_difference == float("inf")
+
+
+def test_a_missing_input_is_a_difference(run: Path, tmp_path: Path) -> None:
+    drop = lambda number, m: None if m.topic.endswith("target_pose") and number == 90 else m.data  # noqa: E731
+    result = replay(open_bag(altered(run, tmp_path / "changed", drop)))
+    assert result.identical is False
+    assert 0.0 < result.max_difference < 1e-2
+
+
+def test_what_if(run: Path) -> None:
+    same = replay(open_bag(run), changes={"gain": 50.0})
+    assert same.identical is True
+    slow = replay(open_bag(run), changes={"feed_forward": False, "gain": 10.0})
+    assert slow.identical is False
+    assert slow.errors.as_mapping()["position_rms_m"] > 10.0 * same.errors.as_mapping()["position_rms_m"]
+    with pytest.raises(ParameterError, match="gains"):
+        replay(open_bag(run), changes={"gains": 1.0})
+    with pytest.raises(ParameterError, match="damping"):
+        replay(open_bag(run), changes={"damping": -1.0})
+
+
+def test_a_bag_of_joint_states_alone_runs_as_tool_poses(tmp_path: Path) -> None:
+    writer = BagWriter(tmp_path / "joints", patient=True)
+    channel = writer.channel("/joint_states", cdr.JOINT_STATE)
+    encode = cdr.JointStateWriter(MODEL.joint_names[::-1])  # in an order of its own
+    home = np.array(PANDA.posture)
+    for index in range(200):
+        time = START + index * 10_000_000
+        q = home + 0.1 * (1.0 - np.cos(0.03 * index))
+        writer.write(channel, time, encode.write(time, q[::-1].copy(), np.zeros(MODEL.n)))
+    writer.close()
+    result = replay(open_bag(tmp_path / "joints"), robot=PANDA, output=tmp_path / "run")
+    assert result.identical is None
+    assert result.errors.as_mapping()["position_rms_m"] < 2e-2  # poses without twists are trailed
+    first = next(open_bag(tmp_path / "run").messages(["/joint_commands"]))
+    np.testing.assert_array_equal(cdr.JointStateReader(MODEL.joint_names).read(first.data), home)
+    assert replay(open_bag(tmp_path / "run")).identical is True
+
+
+def test_a_bag_that_fits_nothing_is_told(tmp_path: Path) -> None:
+    write_targets(tmp_path / "map", sine(0.1, frame="map"), START)
+    with pytest.raises(BagError, match="'map' is unknown; legal: "):
+        replay(open_bag(tmp_path / "map"), robot=PANDA)
+    with pytest.raises(BagError, match="name the robot"):
+        replay(open_bag(tmp_path / "map"))
+    writer = BagWriter(tmp_path / "other")
+    writer.write(writer.channel("/words", cdr.STRING), START, cdr.encode(cdr.message(cdr.STRING, "no")))
+    writer.close()
+    with pytest.raises(BagError, match="neither targets nor joint states"):
+        replay(open_bag(tmp_path / "other"), robot=PANDA)
+    with pytest.raises(BagError, match="never overwritten"):
+        replay(open_bag(tmp_path / "map"), robot=PANDA, output=tmp_path / "other")
+
+
+def test_targets_of_chosen_topics(targets: Path) -> None:
+    assert {t.role for t in load_targets(targets, ["/ik_controller/target_twist"])} == {"target_twist"}
+    with pytest.raises(BagError, match=r"no targets on '/nothing'; it has: /ik_controller/target_pose"):
+        load_targets(targets, ["/nothing"])
+
+
+def test_a_cut_off_run_replays_as_far_as_it_is_whole(tmp_path: Path) -> None:
+    write_targets(tmp_path / "targets", sine(15.0), START)  # long enough for several chunks
+    whole = replay(open_bag(tmp_path / "targets"), robot=PANDA, output=tmp_path / "run")
+    (file,) = (tmp_path / "run").glob("*.mcap")
+    data = file.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: len(data) * 8 // 10])
+    result = replay(open_bag(cut))
+    assert result.identical is True
+    assert result.complete is False
+    assert 0 < result.commands < whole.commands
+
+
+def test_a_run_in_which_nothing_can_be_compared_gets_no_verdict(run: Path, tmp_path: Path) -> None:
+    inputs = lambda number, m: None if m.topic.endswith(("/cycle", "joint_commands")) else m.data  # noqa: E731
+    nothing = replay(open_bag(altered(run, tmp_path / "inputs", inputs)))
+    assert (nothing.commands, nothing.identical, nothing.max_difference) == (0, None, 0.0)
+
+
+def test_memory_does_not_grow_with_the_bag(tmp_path: Path) -> None:
+    sizes = []
+    for seconds in (3.0, 12.0):
+        folder = tmp_path / f"{seconds}"
+        write_targets(folder / "targets", sine(seconds), START)
+        replay(open_bag(folder / "targets"), robot=PANDA, output=folder / "run")
+        bag = open_bag(folder / "run")
+        replay(bag)  # what is kept once is kept by now
+        tracemalloc.start()
+        assert replay(bag).identical
+        sizes.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        shutil.rmtree(folder)
+    assert sizes[1] < 1.5 * sizes[0] + 200_000
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5e"])
+def test_golden_runs(robot: str) -> None:
+    golden = BAGS / f"{robot}_golden"
+    if not golden.exists():
+        pytest.skip(f"no {golden.name} in bags/")
+    bag = open_bag(golden)
+    result = replay(bag)
+    assert result.commands > 1000
+    assert result.max_difference <= 1e-9
+    if not result.software:
+        assert result.identical is True
+    info = RunInfo.of(bag)
+    assert info is not None
+    assert info.parameters.robot == robot
+    assert result.errors.as_mapping()["position_rms_m"] < 1e-4
