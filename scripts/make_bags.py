@@ -3,8 +3,8 @@
 
     python scripts/make_bags.py [FOLDER]
 
-The golden runs are made at 250 Hz and cut to 6 s to stay small; `ik_controller replay` must repeat them bit for bit on the
-machine they were made on, and within 1e-9 rad elsewhere.
+The golden runs are made at 250 Hz and cut to 6 s to stay small; `ik_controller replay` must repeat them bit for bit on
+the machine they were made on, and within 1e-9 rad elsewhere.
 """
 
 from __future__ import annotations

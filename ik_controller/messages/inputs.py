@@ -127,6 +127,9 @@ class Inputs:
                 v, w = point.velocities[0].linear, point.velocities[0].angular
                 twist = self._twist(np.array((v.x, v.y, v.z, w.x, w.y, w.z)), frame)
             points.append((time, placement.translation.copy(), placement.rotation.copy(), twist))
+        if points[-1][0] <= arrival:
+            late = (arrival - points[-1][0]) * 1e-9
+            raise MessageError(f"the trajectory ended {late:.1f} s ago by its stamp; stamp 0 starts it on arrival")
         self._targets.set_trajectory(arrival, points)
 
     def _target_joints(self, data: bytes, arrival: int, q: Array | None) -> None:

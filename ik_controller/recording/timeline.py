@@ -62,17 +62,19 @@ class Timeline:
 
 def draw(timeline: Timeline, file: Path, title: str) -> None:
     """Draw path and errors over time into a PNG file."""
-    import matplotlib
+    picture(timeline, title).savefig(file, dpi=110)
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
+
+def picture(timeline: Timeline, title: str) -> Any:
+    """Return a matplotlib Figure of path and errors over time."""
+    from matplotlib.figure import Figure
 
     table = timeline.table
     time, tool, error, speed = table[:, 0], table[:, 1:4], table[:, 4:10], table[:, 10]
     followed = table[:, 11] > 0.0
     reference = np.where(followed[:, None], tool + error[:, :3], np.nan)
 
-    figure = pyplot.figure(figsize=(12, 7), layout="constrained")
+    figure: Any = Figure(figsize=(12, 7), layout="constrained")
     grid = figure.add_gridspec(3, 2, width_ratios=(1.05, 1.0))
     path: Any = figure.add_subplot(grid[:, 0], projection="3d")
     every = max(len(time) // _COLUMNS, 1)
@@ -102,10 +104,9 @@ def draw(timeline: Timeline, file: Path, title: str) -> None:
         axes.margins(x=0.01)
         if row < 2:
             axes.tick_params(labelbottom=False)
-    below.figure.axes[-1].set_xlabel("time [s]")
+    figure.axes[-1].set_xlabel("time [s]")
     figure.suptitle(title, fontsize=13)
-    figure.savefig(file, dpi=110)
-    pyplot.close(figure)
+    return figure
 
 
 def _columns(time: Array, values: Array) -> tuple[Array, Array]:

@@ -10,6 +10,7 @@ from typing import Any
 import rclpy
 import rclpy.duration
 from geometry_msgs.msg import PoseStamped, TwistStamped
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from trajectory_msgs.msg import MultiDOFJointTrajectory
@@ -48,9 +49,14 @@ def stream(
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)
+    publishers: dict[str, Any] = {}
     try:
         roles = sorted({target.role for target in targets})
-        publishers = {role: node.create_publisher(_KINDS[role], f"{node_name}/{role}", 100) for role in roles}
+        try:
+            for role in roles:
+                publishers[role] = node.create_publisher(_KINDS[role], f"{node_name}/{role}", 100)
+        except (InvalidTopicNameException, ValueError) as error:
+            raise IkControllerError(f"'{node_name}' cannot be a node's name: {' '.join(str(error).split())}") from None
         sign = PolledSubscription(node, PolledGroup(), PoseStamped, f"{node_name}/current_pose", 1, reliable=False)
         by = time.monotonic() + patience
         ready = False

@@ -91,16 +91,23 @@ def _plain(value: Any) -> Any:
 
 
 def print_table(rows: Sequence[Sequence[str]], header: Sequence[str] = ()) -> None:
-    """Print rows in aligned columns: the first to the left, the others to the right."""
+    """Print rows in aligned columns: texts to the left, columns of numbers below a header to the right."""
     lines = [list(header), *map(list, rows)] if header else [list(row) for row in rows]
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
+    numeric = [bool(header) and all(_is_number(row[i]) for row in rows) for i in range(len(widths))]
     for index, line in enumerate(lines):
-        cells = [
-            cell.ljust(w) if i == 0 else cell.rjust(w) for i, (cell, w) in enumerate(zip(line, widths, strict=True))
-        ]
+        cells = [c.rjust(w) if n else c.ljust(w) for c, w, n in zip(line, widths, numeric, strict=True)]
         print("  ".join(cells).rstrip())
         if header and index == 0:
             print("  ".join("-" * w for w in widths))
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text or "0")
+    except ValueError:
+        return False
+    return True
 
 
 class Progress:

@@ -56,7 +56,10 @@ def run(arguments: argparse.Namespace) -> int:
             raise BagError(f"--duration {arguments.duration:g}: need a positive time")
         length = min(length, arguments.duration)
     output = Path(arguments.output)
-    output.mkdir(parents=True, exist_ok=True)
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise IkControllerError(f"--output {output}: {error.strerror}") from None
     bag = _run_processes(arguments, targets_bag, length, output)
     result = _replayed(bag, output / "report.png")
     if arguments.json:

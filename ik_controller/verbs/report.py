@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from ik_controller.errors import IkControllerError
 from ik_controller.verbs.common import add_json_argument, print_json
 
 HELP = "draw a recorded run: path and errors over time"
@@ -23,10 +24,13 @@ def run(arguments: argparse.Namespace) -> int:
     from ik_controller.recording.replay import replay
     from ik_controller.recording.timeline import Timeline, draw
 
+    picture = Path(arguments.png)
+    if not picture.absolute().parent.is_dir():
+        raise IkControllerError(f"--png {picture}: there is no folder '{picture.parent}'")
     timeline = Timeline()
     bag = open_bag(arguments.bag)
     result = replay(bag, watch=timeline.watch)
-    draw(timeline, Path(arguments.png), bag.path.name)
+    draw(timeline, picture, bag.path.name)
     if arguments.json:
         print_json({"picture": arguments.png, **result.as_mapping()})
     else:

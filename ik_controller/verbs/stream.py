@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from ik_controller.errors import ParameterError
 from ik_controller.verbs.common import Progress, add_json_argument, print_json
 
 HELP = "send the poses and twists of a bag to a running node, at their own pace"
@@ -24,6 +25,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Stream and print how much."""
     from ik_controller.recording.target_bag import load_targets
 
+    if arguments.duration is not None and not arguments.duration >= 0.0:
+        raise ParameterError(f"--duration {arguments.duration:g}: need 0 or more seconds")
     targets = load_targets(arguments.bag, arguments.topics)
     if arguments.duration is not None:
         targets = [target for target in targets if target.time <= arguments.duration * 1e9]

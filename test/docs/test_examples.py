@@ -1,4 +1,4 @@
-"""Every python block of docs/*.md runs as it stands, and every picture and page named there exists."""
+"""Every python block of README.md and docs/*.md runs as it stands; every picture and page named there exists."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 DOCS = Path(__file__).parents[2] / "docs"
-PAGES = sorted(DOCS.glob("*.md"))
+ROOT = DOCS.parent
+PAGES = [ROOT / "README.md", ROOT / "bags" / "README.md", *sorted(DOCS.glob("*.md"))]
 
 
 def blocks():
