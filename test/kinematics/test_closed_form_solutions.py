@@ -62,7 +62,7 @@ def within_reach(model, form, q):
     h, base = screws.axis[1], screws.point[1]
     point = screws.meeting_point(3, 4, 5) if "PUMA" in form.name else screws.meeting_point(4, 5)
     p = pose.act(point)
-    # θ₁: h · e^{-S₁θ₁} p − h · point is a cos θ₁ + b sin θ₁ + c; three samples give it, t = tan θ₁/2 makes it quadratic.
+    # θ₁: h · (e^{-S₁θ₁} p − point) is a cos θ₁ + b sin θ₁ + c by three samples, and quadratic in t = tan θ₁/2.
     at_0, at_half_pi, at_pi = (h @ (screws.move(0, -t, p) - point) for t in (0.0, math.pi / 2, math.pi))
     c = 0.5 * (at_0 + at_pi)
     a, b = at_0 - c, at_half_pi - c
