@@ -23,7 +23,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from rcl_interfaces.msg import Parameter, SetParametersResult
+from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -262,13 +262,13 @@ class Rig:
     def call(self, service: str, data: bool | None = None) -> Any:
         """Call one of the node's services and return the response."""
         kind = SERVICES[service]
-        return self._request(f"/ik_controller/{service}", kind, kind.Request() if data is None else kind.Request(data=data))
+        return self._request(
+            f"/ik_controller/{service}", kind, kind.Request() if data is None else kind.Request(data=data)
+        )
 
     def set_parameters(self, **values: Any) -> SetParametersResult:
         """Set parameters in one go and return the result."""
-        parameters = [
-            rclpy.parameter.Parameter(name, value=value).to_parameter_msg() for name, value in values.items()
-        ]
+        parameters = [rclpy.parameter.Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         request = SetParametersAtomically.Request(parameters=parameters)
         return self._request("/ik_controller/set_parameters_atomically", SetParametersAtomically, request).result
 

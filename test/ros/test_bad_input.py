@@ -37,7 +37,9 @@ def joints(names: list[str] = JOINTS, position: list[float] = HOME, velocity: li
     return JointState(name=names, position=position, velocity=velocity or [])
 
 
-def trajectory(*seconds: int, frame: str = "panda_link0", transforms: int = 1, velocities: int = 0, x: float = 0.4) -> Any:
+def trajectory(
+    *seconds: int, frame: str = "panda_link0", transforms: int = 1, velocities: int = 0, x: float = 0.4
+) -> Any:
     message = MultiDOFJointTrajectory()
     message.header.frame_id = frame
     for second in seconds:
