@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -45,6 +46,11 @@ def test_one_version_everywhere():
     assert re.findall(r'^    version="(.*?)"', setup, re.MULTILINE) == [version]
     changes = (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8")
     assert re.findall(r"^(\d+\.\d+\.\d+)\b.*\n-+$", changes, re.MULTILINE)[0] == version
+
+
+def test_documented_parameters_are_those_of_the_code():
+    page = runpy.run_path(str(ROOT / "scripts" / "make_docs.py"))["page"]()
+    assert page == (ROOT / "docs" / "parameters.md").read_text(encoding="utf-8"), "run: make docs"
 
 
 def test_every_direct_dependency_is_pinned_for_every_python():
