@@ -30,9 +30,9 @@ def test_joint_states_stop_and_come_back_elsewhere(rig: Rig) -> None:
     sim.send(signal.SIGKILL)
     status = rig.until_status("joint states have stopped")
     assert status.level == b"\x02"
+    rig.until(lambda: not np.any(rig.heard["joint_commands"][-1].velocity), "the arm to halt")
     rig.until_status("joint states have stopped")
     halted = len(rig.heard["joint_commands"])
-    assert not np.any(rig.heard["joint_commands"][-1].velocity)
     rig.until_status("joint states have stopped")
     assert len(rig.heard["joint_commands"]) == halted
 

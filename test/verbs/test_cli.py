@@ -1,4 +1,4 @@
-"""The command line as a whole: help, usage mistakes, exit codes, one line on stderr; replay, report, recover, sim, stream."""
+"""The command line: help, usage mistakes, exit codes, one line on stderr; replay, report, recover, sim, stream."""
 
 from __future__ import annotations
 
