@@ -101,6 +101,7 @@ class ControllerParameters:
         "Tool point in the tip frame: x y z qx qy qz qw; empty: the tip itself.",
         unit="m, 1",
         lengths=(0, 7),
+        read_only=True,
     )
     locked_joint_names: tuple[str, ...] = _p(
         (), "robot", "Joints outside the chain that are locked elsewhere than at 0.", read_only=True

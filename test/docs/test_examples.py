@@ -35,8 +35,8 @@ def test_links_lead_somewhere(page):
         assert (page.parent / target).exists(), target
 
 
-def test_every_picture_is_made_by_the_script_and_shown_on_a_page():
-    script = (DOCS / "pictures.py").read_text(encoding="utf-8")
+def test_every_picture_is_made_by_a_script_and_shown_on_a_page():
+    script = "".join(path.read_text(encoding="utf-8") for path in DOCS.glob("pictures*.py"))
     pages = "".join(page.read_text(encoding="utf-8") for page in PAGES)
     pictures = sorted(path.stem for path in (DOCS / "images").glob("*.png"))
     assert pictures
