@@ -186,7 +186,7 @@ class ControllerParameters:
     )
     status_rate: float = _p(10.0, "node", "~/status a second.", unit="Hz", low=0.1, high=100.0, read_only=True)
     # recording
-    record: bool = _p(True, "recording", "Record from the start; the service ~/record switches it.")
+    record: bool = _p(True, "recording", "Record from the start; the service ~/record switches it.", read_only=True)
     record_folder: str = _p("runs", "recording", "Folder that gets one bag a run.", read_only=True)
     record_compression: str = _p(
         "zstd", "recording", "Compression of the bag.", legal=("zstd", "lz4", "none"), read_only=True

@@ -58,6 +58,7 @@ class Session:
         self._measured: Array | None = None
         self._running = False
         self._restarting = False  # brakes to rest before it starts anew
+        self._rest_since: int | None = None  # when a restarting arm's commands came to rest [ns]
         self._set_times()
 
     def _set_times(self) -> None:
@@ -105,9 +106,9 @@ class Session:
             self.targets.clear()
         elif do == "resume":
             self.paused = False
-            self._restarting = True
+            self._restarting = self._running
         elif do == "reset":
-            self._restarting = True
+            self._restarting = self._running
             self.targets.clear()
         elif do == "parameters":
             values = content.get("values")
@@ -139,7 +140,11 @@ class Session:
         fresh = arrival is not None and now - arrival <= self._feedback_timeout
         measured = self._measured if fresh else None
         if self._restarting and not self.controller.velocity.any():
-            self._running = self._restarting = False
+            # The arm lags behind its commands: it comes to rest too before it is asked where it is.
+            self._rest_since = now if self._rest_since is None else self._rest_since
+            if now - self._rest_since >= self._feedback_timeout:
+                self._running = self._restarting = False
+                self._rest_since = None
         if not self._running:
             if self.paused or measured is None:
                 lost = arrival is not None
@@ -195,6 +200,7 @@ class Session:
                 "paused": self.paused,
                 "running": self._running,
                 "restarting": self._restarting,
+                "rest_since": self._rest_since,
                 "measured": None if self._measured is None else self._measured.tolist(),
                 "feedback_arrival": self.feedback_arrival,
                 "controller": controller.state(),
@@ -203,11 +209,15 @@ class Session:
         )
 
     def _restore(self, content: dict[str, Any]) -> None:
-        self.set_parameters(ControllerParameters.from_mapping(content["parameters"]))
-        self.paused = bool(content["paused"])
-        self._running = bool(content["running"])
-        self._restarting = bool(content["restarting"])
-        self._measured = None if content["measured"] is None else np.array(content["measured"])
-        self.feedback_arrival = content["feedback_arrival"]
-        self.controller.restore(content["controller"])
-        self.targets.restore(content["targets"])
+        try:
+            self.set_parameters(ControllerParameters.from_mapping(content["parameters"]))
+            self.paused = bool(content["paused"])
+            self._running = bool(content["running"])
+            self._restarting = bool(content["restarting"])
+            self._rest_since = content["rest_since"]
+            self._measured = None if content["measured"] is None else np.array(content["measured"])
+            self.feedback_arrival = content["feedback_arrival"]
+            self.controller.restore(content["controller"])
+            self.targets.restore(content["targets"])
+        except (KeyError, TypeError, ValueError) as error:
+            raise IkControllerError(f"event 'state' is of another version of ik_controller: {error!r}") from None

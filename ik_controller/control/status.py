@@ -24,7 +24,7 @@ SENTENCES = {
     Code.TRACKING: "tracking",
     Code.STOPPING: "stopping",
     Code.PAUSED: "paused",
-    Code.NO_FEEDBACK: "halted: joint states have stopped",
+    Code.NO_FEEDBACK: "joint states have stopped: the arm is halted",
     Code.FAULT: "fault: reset to go on",
 }
 

@@ -87,7 +87,10 @@ class RobotModel:
         keep = [j for j in chain if j.name in moving or (j.mimic is not None and j.name not in locked)]
         kept_names = {j.name for j in keep}
         lock_ids = [i for i in range(1, full.njoints) if full.names[i] not in kept_names]
-        self.pin_model: Any = pin.buildReducedModel(full, lock_ids, q_locked)
+        try:
+            self.pin_model: Any = pin.buildReducedModel(full, lock_ids, q_locked)
+        except ValueError as error:
+            raise ModelError(f"Pinocchio cannot lock the other joints of '{urdf.name}': {error}") from None
         self._move_world_to(self.base_frame)
 
         order = [next(j for j in keep if j.name == name) for name in list(self.pin_model.names)[1:]]

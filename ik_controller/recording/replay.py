@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ik_controller.control.controller import Step
 from ik_controller.control.simulated_arm import SimulatedArm
 from ik_controller.control.status import Code
-from ik_controller.errors import BagError
+from ik_controller.errors import BagError, ParameterError
 from ik_controller.messages import cdr
 from ik_controller.messages.inputs import INPUTS
 from ik_controller.parameters import ControllerParameters
@@ -95,6 +95,10 @@ def session_of(bag: BagReader, changes: Mapping[str, Any]) -> tuple[Session, Run
     if info is None:
         raise BagError(f"bag '{bag.path}' holds no run of ik_controller")
     parameters = info.parameters.replace(changes)
+    if parameters.rate != info.parameters.rate:
+        raise ParameterError(
+            f"rate = {parameters.rate:g}: a recorded run is replayed at its own, {info.parameters.rate:g} Hz"
+        )
     return Session(build_model(parameters, info.urdf), parameters), info
 
 
