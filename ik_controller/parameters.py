@@ -31,6 +31,20 @@ ORIENTATION_ERRORS = (
     "euler_difference_zxz",
 )
 
+INVERSES = (
+    "numerical_filtering",
+    "damped",
+    "damped_manipulability",
+    "damped_singular_value",
+    "pseudo",
+    "exact",
+    "right",
+    "left",
+    "weighted_right",
+    "weighted_left",
+    "transpose",
+)
+
 
 @dataclass(frozen=True)
 class Spec:
@@ -136,6 +150,19 @@ class ControllerParameters:
     feed_forward: bool = _p(True, "law", "Use the target's velocity ẋ_d; without it a moving target is trailed.")
     orientation_error: str = _p(
         "exponential_base", "law", "Orientation part of e (notes N4).", legal=ORIENTATION_ERRORS
+    )
+    inverse: str = _p(
+        "numerical_filtering",
+        "law",
+        "J⁺ (notes N5): exact away from singularities, damped in the weak directions alone; the others are for study, "
+        "take longer, and give way to it where they do not exist.",
+        legal=INVERSES,
+    )
+    inverse_weights: tuple[float, ...] = _p(
+        (), "law", "Diagonal of the metric W: one value a joint for weighted_right, 6 for weighted_left.", low=1e-6
+    )
+    manipulability_threshold: float = _p(
+        0.05, "law", "Manipulability below which damped_manipulability damps.", low=1e-9
     )
     damping: float = _p(0.05, "law", "Largest damping λ, reached at a singularity.", low=0.0, high=10.0)
     singular_value_threshold: float = _p(

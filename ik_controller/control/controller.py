@@ -6,6 +6,7 @@ bits.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -169,6 +170,13 @@ class Controller:
         wanted, position = command
         jacobian, reach = law.work
         damped = sigma < law.threshold
+        if law.by_name:
+            if measure:
+                feedback = law.constants[0].dot(error)
+            with contextlib.suppress(ArgumentError):  # at a singularity: the damped velocity it is
+                wanted = law.named_velocity(twist, feedback, at)
+                position = self._q + dt * wanted
+                fits = bool((np.concatenate((wanted, -wanted)) <= reach).all())
         if limits.reserve:
             reach = limits.stop_in_time(reach, self._q, self._v, dt)
             fits = bool((np.concatenate((wanted, -wanted)) <= reach).all())

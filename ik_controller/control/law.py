@@ -12,16 +12,23 @@ ratio of the two is β = √(2r − 1)/r, taken for all joints as one so that th
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
+from ik_controller.control.kernel import braking_factor
 from ik_controller.control.reference import Reference
+from ik_controller.errors import ArgumentError, ParameterError
+from ik_controller.kinematics.inverses import INVERSES, inverse
 from ik_controller.kinematics.levenberg_marquardt import solver_chain
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.kinematics.orientation_error import DEFAULT_ORIENTATION_ERROR, ORIENTATION_ERRORS
 from ik_controller.parameters import ControllerParameters, gain_matrix
 
 Array = NDArray[np.float64]
+
+DEFAULT_INVERSE = "numerical_filtering"  # worked out inside the kernel
 
 # Share of the acceleration limits that the approach to a target plans its braking with; the rest is for the moving
 # reference, the turning of J and the posture.
@@ -62,6 +69,28 @@ class Law:
         # The default error is worked out inside the kernel.
         self.exponential = parameters.orientation_error == DEFAULT_ORIENTATION_ERROR
 
+        self.by_name = parameters.inverse != DEFAULT_INVERSE
+        self._method, self._options = parameters.inverse, _options(parameters)
+        if self.by_name:
+            try:
+                inverse(np.eye(6, n), self._method, **self._options)
+            except ArgumentError as wrong:
+                raise ParameterError(f"inverse = '{self._method}' does not fit this arm: {wrong}") from None
+
+    def named_velocity(self, feed_forward: Array, feedback: Array, at: Array) -> Array:
+        """Return J#(ẋ_d + β K e) + (I − J#J) q̇₀ (n,) with the inverse that the parameters name, for the last cycle's J.
+
+        Raises ArgumentError where that inverse does not exist, as at a singularity.
+        """
+        _, fastest, braking, posture, posture_gain, seek_limit, _, _ = self.constants
+        jacobian = self.work[0]
+        sharp = inverse(jacobian, self._method, **self._options)
+        approach = sharp @ feedback
+        seek = posture_gain * (posture - at)
+        null = seek / max(float(np.max(np.abs(seek) / seek_limit)), 1.0)
+        steady: Array = null + sharp @ (feed_forward - jacobian @ null)
+        return steady + braking_factor(approach, fastest, braking) * approach
+
     def observe(self, reference: Reference, q: Array) -> tuple[Array, Array]:
         """Return (e (6,), K e (6,)) at q (n,): e = reference ⊖ tool [m, rad]; zeros where the reference has no pose."""
         if reference.position is None or reference.rotation is None:
@@ -73,3 +102,15 @@ class Law:
         feedback: Array = self._gain.dot(error)
         feedback[3:] = self._error.to_angular_velocity(feedback[3:], rotation)
         return error, feedback
+
+
+def _options(parameters: ControllerParameters) -> dict[str, Any]:
+    """Return what the inverse that the parameters name takes."""
+    available = {
+        "weight": np.array(parameters.inverse_weights) if parameters.inverse_weights else None,
+        "damping": parameters.damping,
+        "threshold": parameters.singular_value_threshold,
+    }
+    if parameters.inverse == "damped_manipulability":
+        available["threshold"] = parameters.manipulability_threshold
+    return {name: available[name] for name in available if name in INVERSES[parameters.inverse].options}
