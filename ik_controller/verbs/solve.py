@@ -28,7 +28,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="tool pose in the base frame: position [m], unit quaternion",
     )
     parser.add_argument(
-        "--method", default="damped", metavar="METHOD", help="newton, damped, transpose or analytic (default: damped)"
+        "--method",
+        metavar="METHOD",
+        help="newton, damped, transpose or analytic (default: damped; for --all analytic, where the arm has one)",
     )
     parser.add_argument("--start", nargs="+", type=float, metavar="Q", help="start [rad or m] (default: mid-range)")
     parser.add_argument("--axes", default="xyzrpy", help="subset of xyzrpy that counts; xyy is x, y and yaw")
@@ -58,6 +60,12 @@ def run(arguments: argparse.Namespace) -> int:
     from ik_controller.kinematics.solve import solve_ik
 
     model = model_from(arguments)
+    if arguments.method is None:
+        arguments.method = "damped"
+        if arguments.all and arguments.axes == "xyzrpy":
+            from ik_controller.kinematics.closed_form import recognise
+
+            arguments.method = "damped" if recognise(model) is None else "analytic"
     solution = solve_ik(
         model,
         arguments.pose,
