@@ -254,10 +254,12 @@ class Rig:
         """Return a publisher of a role of SENT, once somebody listens to it."""
         if role not in self._publishers:
             kind, topic = SENT[role]
-            self._publishers[role] = self._listener.create_publisher(kind, topic, 100)
-        publisher = self._publishers[role]
-        self.until(publisher.get_subscription_count, f"a listener on {role}")
-        return publisher
+            publisher = self._publishers[role] = self._listener.create_publisher(kind, topic, 100)
+            self.until(publisher.get_subscription_count, f"a listener on {role}")
+            # The listener may find us later than we find it, and nothing tells when: what we send is lost until then.
+            found = time.monotonic()
+            self.until(lambda: time.monotonic() > found + 0.5)
+        return self._publishers[role]
 
     def call(self, service: str, data: bool | None = None) -> Any:
         """Call one of the node's services and return the response."""

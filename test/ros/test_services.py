@@ -90,8 +90,14 @@ def test_pause_brakes_and_going_on_starts_at_the_measured_position(live: Rig, ba
         elsewhere = type(elsewhere)(name=elsewhere.name, position=np.array(elsewhere.position) + 0.1)
         live.until_status("paused")
         assert len(live.heard["joint_commands"]) == number
-        live.publisher("joint_commands").publish(elsewhere)
-        live.until(lambda: list(live.heard["joint_states"][-1].position) == list(elsewhere.position), "the arm to move")
+        publisher = live.publisher("joint_commands")
+
+        def moved() -> bool:
+            publisher.publish(elsewhere)  # again and again: the arm may not have found this publisher yet
+            heard = live.heard["joint_states"]
+            return bool(heard) and list(heard[-1].position) == list(elsewhere.position)
+
+        live.until(moved, "the arm to move")
         live.until_status("paused")
         number = len(live.heard["joint_commands"])
         assert live.call("pause", False).success
