@@ -127,24 +127,47 @@ class StampedReader:
         self._at = end + (4 - end) % 8
 
 
+class StampedWriter:
+    """Writes PoseStamped or TwistStamped messages of one frame."""
+
+    def __init__(self, empty: bytes, count: int) -> None:
+        """`empty`: a message of the frame; `count` numbers end it."""
+        self._buffer = bytearray(empty)
+        self._at = len(empty) - 8 * count
+
+    def write(self, stamp: int, numbers: Array) -> bytes:
+        """Return the message's bytes; `stamp` [ns], numbers (count,)."""
+        _STAMP.pack_into(self._buffer, 4, stamp // _SECOND, stamp % _SECOND)
+        self._buffer[self._at :] = numbers.tobytes()
+        return bytes(self._buffer)
+
+
 class JointStateReader:
     """Reads the positions of given joints out of JointState messages, in any order and whatever else is there."""
 
     def __init__(self, joint_names: tuple[str, ...]) -> None:
         self._names = joint_names
-        self._prefix = b""
         self._length = -1
         self._at = 0
         self._order: NDArray[np.intp] | None = None  # None: as in the message, all of them
         self._count = 0
-        self._rest: tuple[tuple[int, bytes], ...] = ()  # what else must be as learned: where, bytes
+        self._fixed: tuple[slice, ...] = ()  # header, frame and names with all counts: where they are,
+        self._learned: tuple[bytes, ...] = ()  # and what they were
 
     def read(self, data: bytes) -> Array | None:
         """Return positions (n,) [rad or m] in the order of the joint names; None where none of them is in the message.
 
         Raises MessageError: names missing or doubled, arrays of the wrong length, a value that is not finite.
         """
-        if not self._known(data) and not self._learn(data):
+        # Is all but stamp and numbers as in the message learned from? Slices, because this runs every cycle.
+        known = (
+            len(data) == self._length
+            and data[self._fixed[0]] == self._learned[0]
+            and data[self._fixed[1]] == self._learned[1]
+            and data[self._fixed[2]] == self._learned[2]
+            and data[self._fixed[3]] == self._learned[3]
+        )
+        if not known and not self._learn(data):
             return None
         values: Array = np.frombuffer(data, "<f8", self._count, self._at)
         if self._order is not None:
@@ -153,15 +176,6 @@ class JointStateReader:
             index = int(np.argmax(np.fmax(np.abs(values), np.where(np.isnan(values), np.inf, 0.0))))
             raise MessageError(f"position of '{self._names[index]}' is {values[index]}: need finite values")
         return values
-
-    def _known(self, data: bytes) -> bool:
-        """Tell whether all but stamp and numbers is as in the message learned from."""
-        if len(data) != self._length or not data.startswith(self._prefix, 12):
-            return False
-        for at, part in self._rest:  # noqa: SIM110 (a loop is faster than all())
-            if not data.startswith(part, at):
-                return False
-        return True
 
     def _learn(self, data: bytes) -> bool:
         self._length = -1
@@ -185,12 +199,12 @@ class JointStateReader:
         in_order = tuple(names) == self._names
         self._order = None if in_order else np.array([names.index(name) for name in self._names], dtype=np.intp)
         self._count = count
-        self._prefix = data[12:end]
         behind = self._at + 8 * count  # the count of velocities, their numbers, the count of efforts
         efforts = behind + 4
         if len(content.velocity):
             efforts += (4 - efforts) % 8 + 8 * len(content.velocity)
-        self._rest = tuple((at, data[at : at + size]) for at, size in ((0, 4), (behind, 4), (efforts, 4)))
+        self._fixed = (slice(0, 4), slice(12, end), slice(behind, behind + 4), slice(efforts, efforts + 4))
+        self._learned = tuple(data[part] for part in self._fixed)
         self._length = len(data)
         return True
 
@@ -206,6 +220,14 @@ class JointStateWriter:
         after = self._position + 8 * n + 4
         self._velocity = after + (4 - after) % 8
         self._size = 8 * n
+        self._numbers = slice(self._position, after - 4), slice(self._velocity, self._velocity + 8 * n)
+        self._between = (
+            slice(0, 4),
+            slice(12, self._position),
+            slice(after - 4, self._velocity),
+            slice(self._velocity + 8 * n, None),
+        )
+        self._fixed = [bytes(self._buffer[part]) for part in self._between]
 
     def write(self, stamp: int, position: Array, velocity: Array) -> bytes:
         """Return the message's bytes; `stamp` [ns], position (n,) [rad or m], velocity (n,) [rad/s or m/s]."""
@@ -215,6 +237,16 @@ class JointStateWriter:
         buffer[self._velocity : self._velocity + size] = velocity.tobytes()
         return bytes(buffer)
 
+    def wrote(self, data: bytes, stamp: int, position: Array, velocity: Array) -> bool:
+        """Tell whether `data` is what `write` returns for the same arguments, to the bit, without writing it again."""
+        first, second = self._numbers
+        return (
+            data[first] == position.tobytes()
+            and data[second] == velocity.tobytes()
+            and _STAMP.unpack_from(data, 4) == (stamp // _SECOND, stamp % _SECOND)
+            and [data[part] for part in self._between] == self._fixed
+        )
+
     def positions(self, data: bytes) -> Array:
         """Return the positions (n,) in a message that `write` made."""
         return np.frombuffer(data, "<f8", self._size // 8, self._position)
@@ -223,6 +255,7 @@ class JointStateWriter:
 # The record of one cycle is a std_msgs/Int64MultiArray, so that any reader of bags can open it.
 CYCLE_FIELDS = ("index", "time_ns", "code", "late_ns", "work_ns", "published")
 _CYCLE = struct.Struct("<4sIII4x6q")
+_CYCLE_VALUES = struct.Struct("<6q")
 
 
 def encode_cycle(index: int, time: int, code: int, late: int, work: int, published: int) -> bytes:
@@ -234,5 +267,5 @@ def decode_cycle(data: bytes) -> tuple[int, int, int, int, int, int]:
     """Return the fields of a cycle record in the order of CYCLE_FIELDS. Raises MessageError if it is none."""
     if len(data) != _CYCLE.size:
         raise MessageError(f"not a cycle record: {len(data)} bytes, need {_CYCLE.size}")
-    index, time, code, late, work, published = _CYCLE.unpack(data)[4:]
-    return index, time, code, late, work, published
+    values: tuple[int, int, int, int, int, int] = _CYCLE_VALUES.unpack_from(data, _CYCLE.size - _CYCLE_VALUES.size)
+    return values

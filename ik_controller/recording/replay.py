@@ -174,18 +174,20 @@ def replay(
         result.cycles += 1
         if cycle.late > session.period:
             result.missed += 1
-        data = None if step is None else encode.write(cycle.time + session.period, step.position, step.velocity)
-        if cycle.recorded is not None or data is not None:
+        recorded, stamp = cycle.recorded, cycle.time + session.period
+        if step is not None or recorded is not None:
             result.commands += 1
-            if data != cycle.recorded:
+            if step is None or recorded is None:
+                _note_difference(result, cycle, encode)
+            elif not encode.wrote(recorded, stamp, step.position, step.velocity):
                 _note_difference(result, cycle, encode)
         if step is not None and step.status.code is Code.TRACKING:
             result.errors.add(step.error)
         if writer is not None:
-            if data is not None:
-                writer.write("joint_commands", cycle.time, data)
+            if step is not None:
+                writer.write("joint_commands", cycle.time, encode.write(stamp, step.position, step.velocity))
             writer.cycle(
-                cycle.number, cycle.time, int(session.status.code), cycle.late, cycle.work, int(data is not None)
+                cycle.number, cycle.time, int(session.status.code), cycle.late, cycle.work, int(step is not None)
             )
     result.elapsed = time.perf_counter() - begin
     result.duration = (last - first) * 1e-9

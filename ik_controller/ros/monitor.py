@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from ik_controller.control.status import Code
@@ -41,17 +42,23 @@ class Timing:
         return float(median), float(high)
 
 
-def pose_message(session: Session, now: int) -> bytes | None:
-    """Return ~/current_pose: the tool at the measured joints, None before the first joint state."""
-    q = session.measured
-    if q is None:
-        return None
-    return cdr.pose_message(now, session.model.base_frame, session.model.forward(q))
+class Telling:
+    """Writes ~/current_pose and ~/tracking_error of a session."""
 
+    def __init__(self, session: Session) -> None:
+        frame = session.model.base_frame
+        self._session = session
+        self._pose = cdr.StampedWriter(cdr.pose_message(0, frame, pin.SE3.Identity()), 7)
+        self._error = cdr.StampedWriter(cdr.twist_message(0, frame, np.zeros(6)), 6)
 
-def error_message(session: Session, now: int, error: NDArray[np.float64]) -> bytes:
-    """Return ~/tracking_error: reference minus tool, position [m] and rotation vector [rad], in the base frame."""
-    return cdr.twist_message(now, session.model.base_frame, error)
+    def pose(self, now: int) -> bytes | None:
+        """Return the tool's pose at the measured joints, None before the first joint state."""
+        q = self._session.measured
+        return None if q is None else self._pose.write(now, pin.SE3ToXYZQUAT(self._session.model.forward(q)))
+
+    def error(self, now: int, error: NDArray[np.float64]) -> bytes:
+        """Return reference minus tool (6,): position [m] and rotation vector [rad], in the base frame."""
+        return self._error.write(now, error)
 
 
 def status(

@@ -102,6 +102,7 @@ class ControllerNode(Node):  # type: ignore[misc]
         self._encode = cdr.JointStateWriter(session.model.joint_names).write
 
         self._timing = monitor.Timing(session.period)
+        self._telling = monitor.Telling(session)
         self._monitor_every = max(round(self.parameters.rate / self.parameters.monitor_rate), 1)
         self._status_every = max(round(self.parameters.rate / self.parameters.status_rate), 1)
         self._second = round(self.parameters.rate)
@@ -280,10 +281,10 @@ class ControllerNode(Node):  # type: ignore[misc]
         return self._recorder
 
     def _tell_pose(self, now: int, error: Any) -> None:
-        pose = monitor.pose_message(self.session, now)
+        pose = self._telling.pose(now)
         messages = [] if pose is None else [("current_pose", self._pose, pose)]
         if error is not None:
-            messages.append(("tracking_error", self._error, monitor.error_message(self.session, now, error)))
+            messages.append(("tracking_error", self._error, self._telling.error(now, error)))
         for role, publisher, data in messages:
             publisher.publish(data)
             if self._recorder is not None:
