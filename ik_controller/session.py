@@ -174,7 +174,7 @@ class Session:
         far = pin.SE3(pose.rotation, pose.translation + 0.5)
         targets = (
             ("target_pose", pose_message(0, model.base_frame, pose)),
-            ("target_twist", twist_message(0, model.base_frame, np.full(6, 1e-3))),
+            *[("target_twist", twist_message(0, model.base_frame, np.full(6, 1e-3 * k))) for k in (1, 2, 3)],
             ("target_pose", pose_message(0, model.base_frame, far)),
             ("target_joints", state),
         )

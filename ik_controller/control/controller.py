@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ik_controller.control.bounded import bounded_velocity
-from ik_controller.control.kernel import braking_factor, tool_cycle
+from ik_controller.control.kernel import braking_factor, tool_cycle, within
 from ik_controller.control.law import BRAKING_SHARE, Law
 from ik_controller.control.limits import JointLimits
 from ik_controller.control.reference import Reference
@@ -167,7 +167,7 @@ class Controller:
             error,
             command,
         )
-        wanted, position = command
+        wanted, position = command[0], command[1]
         jacobian, reach = law.work
         damped = sigma < law.threshold
         if law.by_name:
@@ -176,10 +176,10 @@ class Controller:
             with contextlib.suppress(ArgumentError):  # at a singularity: the damped velocity it is
                 wanted = law.named_velocity(twist, feedback, at)
                 position = self._q + dt * wanted
-                fits = bool((np.concatenate((wanted, -wanted)) <= reach).all())
+                fits = within(wanted, reach)
         if limits.reserve:
             reach = limits.stop_in_time(reach, self._q, self._v, dt)
-            fits = bool((np.concatenate((wanted, -wanted)) <= reach).all())
+            fits = within(wanted, reach)
         if fits:
             self._q, self._v = position, wanted
             return Step(position, wanted, error, Status(Code.TRACKING, 1.0, Limit.NONE, -1, damped, sigma))

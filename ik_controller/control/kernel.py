@@ -33,21 +33,38 @@ def velocity_interval(q: Array, v: Array, dt: float, bounds: Array, velocity: Ar
     q, v (n,): the commanded state; dt [s]; `bounds` (2n,): upper limits, then negated lower ones; `velocity`,
     `acceleration` (2n,): the limits, twice.
     """
-    speed = np.concatenate((v, -v))
-    room = np.minimum(np.maximum(bounds - np.concatenate((q, -q)), 0.0), ENDLESS)
-    # a (√(dt² + 2 room/a) − dt) in the form that loses no digits near the bound and serves an infinite a too.
-    reach = (2.0 * room) / (np.sqrt(dt * dt + (2.0 * room) / acceleration) + dt)
-    # Rounding may ask for a little more than the room: never step over the bound.
-    reach = np.minimum(np.minimum(reach, room * (1.0 / dt)), velocity)
-    # Acceleration comes last: it always holds; the others do as long as they held before (or shrink to it).
-    step = acceleration * dt
-    return np.minimum(np.maximum(reach, speed - step), speed + step)
+    n = q.shape[0]
+    reach = np.empty(2 * n)
+    for i in range(2 * n):
+        sign, joint = (1.0, i) if i < n else (-1.0, i - n)
+        speed, a = sign * v[joint], acceleration[i]
+        room = min(max(bounds[i] - sign * q[joint], 0.0), ENDLESS)
+        # a (√(dt² + 2 room/a) − dt) in the form that loses no digits near the bound and serves an infinite a too.
+        far = (2.0 * room) / (math.sqrt(dt * dt + (2.0 * room) / a) + dt)
+        # Rounding may ask for a little more than the room: never step over the bound.
+        far = min(min(far, room * (1.0 / dt)), velocity[i])
+        # Acceleration comes last: it always holds; the others do as long as they held before (or shrink to it).
+        step = a * dt
+        reach[i] = min(max(far, speed - step), speed + step)
+    return reach
+
+
+@compiled
+def within(wanted: Array, reach: Array) -> bool:
+    """Tell whether a velocity (n,) is in a `velocity_interval` (2n,); one that is not finite never is."""
+    n = wanted.shape[0]
+    for i in range(n):  # noqa: SIM110 (Numba compiles no generators)
+        if not (wanted[i] <= reach[i] and -wanted[i] <= reach[n + i]):
+            return False
+    return True
 
 
 @compiled
 def braking_factor(approach: Array, fastest: float, acceleration: Array) -> float:
     """Return β ≤ 1 for the feedback velocity (n,): with r = max K |q̇|/a, √(2r − 1)/r where r > 1."""
-    ratio = fastest * np.max(np.abs(approach) / acceleration)
+    ratio = 0.0
+    for i in range(approach.shape[0]):
+        ratio = max(ratio, fastest * abs(approach[i]) / acceleration[i])
     if ratio > 1.0:
         return math.sqrt(2.0 * ratio - 1.0) / ratio
     return 1.0
@@ -132,7 +149,7 @@ def tool_cycle(
     reach[:] = velocity_interval(q, v, dt, limits[0], limits[1], limits[2])
     command[0] = wanted
     command[1] = q + dt * wanted
-    return bool(np.all(np.concatenate((wanted, -wanted)) <= reach)), sigma
+    return within(wanted, reach), sigma
 
 
 @compiled
@@ -148,3 +165,16 @@ def carry_on(
     rotation_exp(way[3:], rotation, pose)
     pose[3] = position + way[:3]
     mean[:] = twist + (ahead + 0.5 * dt) * rate
+
+
+@compiled
+def agreed_rate(v0: Array, v1: Array, v2: Array, dt1: float, dt2: float) -> Array:
+    """Return the rate (6,) of three twists, dt1 and dt2 [s] apart: by component the smaller of the two differences, 0
+    where they disagree in sign (minmod).
+    """
+    rate = np.zeros(6)
+    for i in range(6):
+        older, newer = (v1[i] - v0[i]) / dt1, (v2[i] - v1[i]) / dt2
+        if older * newer > 0.0:
+            rate[i] = older if abs(older) < abs(newer) else newer
+    return rate

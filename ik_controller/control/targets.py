@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ik_controller.control.kernel import carry_on
+from ik_controller.control.kernel import agreed_rate, carry_on
 from ik_controller.control.reference import Reference
 from ik_controller.control.segment import Segment
 from ik_controller.parameters import ControllerParameters
@@ -234,8 +234,8 @@ class Targets:
         (t0, _, v0), (t1, _, v1), (t2, _, v2) = last[-3:]
         if not (t0 < t1 < t2 and t2 - t0 <= self._timeout):
             return None
-        older, newer = (v1 - v0) * (1e9 / (t1 - t0)), (v2 - v1) * (1e9 / (t2 - t1))
-        return np.where(older * newer > 0.0, np.sign(newer) * np.fmin(np.abs(older), np.abs(newer)), 0.0)
+        rate: Array = agreed_rate(v0, v1, v2, 1e-9 * (t1 - t0), 1e-9 * (t2 - t1))
+        return rate
 
     def _between(self, index: int, time: int, dt: float) -> Reference:
         before, after = self._samples[index], self._samples[index + 1]

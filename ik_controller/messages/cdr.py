@@ -31,6 +31,7 @@ CYCLE = "std_msgs/msg/Int64MultiArray"
 
 _SECOND = 1_000_000_000
 _STAMP = struct.Struct("<iI")
+_NUMBER = np.dtype("<f8")
 
 
 def decode(type_name: str, data: bytes) -> Any:
@@ -114,7 +115,7 @@ class StampedReader:
         if len(data) != self._length or data[1] != 1 or not data.startswith(self._prefix, 12):
             self._learn(data)
         seconds, nanoseconds = _STAMP.unpack_from(data, 4)
-        return seconds * _SECOND + nanoseconds, self._frame, np.frombuffer(data, "<f8", self._count, self._at)
+        return seconds * _SECOND + nanoseconds, self._frame, np.frombuffer(data, _NUMBER, self._count, self._at)
 
     def _learn(self, data: bytes) -> None:
         self._length = -1
@@ -169,7 +170,7 @@ class JointStateReader:
         )
         if not known and not self._learn(data):
             return None
-        values: Array = np.frombuffer(data, "<f8", self._count, self._at)
+        values: Array = np.frombuffer(data, _NUMBER, self._count, self._at)
         if self._order is not None:
             values = values[self._order]
         if not math.isfinite(values.dot(values)):  # or its square overflows: no joint is there either
@@ -244,12 +245,15 @@ class JointStateWriter:
             data[first] == position.tobytes()
             and data[second] == velocity.tobytes()
             and _STAMP.unpack_from(data, 4) == (stamp // _SECOND, stamp % _SECOND)
-            and [data[part] for part in self._between] == self._fixed
+            and data[self._between[0]] == self._fixed[0]
+            and data[self._between[1]] == self._fixed[1]
+            and data[self._between[2]] == self._fixed[2]
+            and data[self._between[3]] == self._fixed[3]
         )
 
     def positions(self, data: bytes) -> Array:
         """Return the positions (n,) in a message that `write` made."""
-        return np.frombuffer(data, "<f8", self._size // 8, self._position)
+        return np.frombuffer(data, _NUMBER, self._size // 8, self._position)
 
 
 # The record of one cycle is a std_msgs/Int64MultiArray, so that any reader of bags can open it.

@@ -177,9 +177,7 @@ def replay(
         recorded, stamp = cycle.recorded, cycle.time + session.period
         if step is not None or recorded is not None:
             result.commands += 1
-            if step is None or recorded is None:
-                _note_difference(result, cycle, encode)
-            elif not encode.wrote(recorded, stamp, step.position, step.velocity):
+            if step is None or recorded is None or not encode.wrote(recorded, stamp, step.position, step.velocity):
                 _note_difference(result, cycle, encode)
         if step is not None and step.status.code is Code.TRACKING:
             result.errors.add(step.error)
