@@ -22,8 +22,11 @@ from ik_controller.ros.loop import Loop
 from ik_controller.ros.polling import PolledGroup, PolledSubscription
 
 
-def simulate(model: RobotModel, q: NDArray[np.float64], rate: float, **arm: Any) -> None:
-    """Run a simulated arm from rest at q (n,) until SIGINT or SIGTERM; `arm`: the options of `SimulatedArm`."""
+def simulate(model: RobotModel, q: NDArray[np.float64], rate: float, **arm: Any) -> dict[str, int]:
+    """Run a simulated arm from rest at q (n,) until SIGINT or SIGTERM; `arm`: the options of `SimulatedArm`.
+
+    Return how many cycles it ran, missed, and how many commands it took.
+    """
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = Node("simulated_arm")
     commands = PolledSubscription(node, PolledGroup(), JointState, "joint_commands", 10, reliable=False)
@@ -34,6 +37,7 @@ def simulate(model: RobotModel, q: NDArray[np.float64], rate: float, **arm: Any)
     simulated = SimulatedArm(q, **arm)
     reader, writer = JointStateReader(model.joint_names), JointStateWriter(model.joint_names)
     period = round(1e9 / rate)
+    counts = {"cycles": 0, "missed": 0, "commands": 0}
 
     def cycle(index: int, now: int, late: int) -> None:
         while (data := commands.take()) is not None:
@@ -44,6 +48,8 @@ def simulate(model: RobotModel, q: NDArray[np.float64], rate: float, **arm: Any)
                 continue
             if command is not None:
                 simulated.command(command)
+                counts["commands"] += 1
+        counts["cycles"] += 1
         simulated.advance(period / 1e9)
         states.publish(writer.write(now, *simulated.measure()))
 
@@ -60,3 +66,5 @@ def simulate(model: RobotModel, q: NDArray[np.float64], rate: float, **arm: Any)
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
+    counts["missed"] = loop.missed
+    return counts

@@ -86,6 +86,7 @@ class ControllerNode(Node):  # type: ignore[misc]
     def _connect(self) -> None:
         """Build the session and everything that talks; needs the URDF."""
         self.session = session = Session(build_model(self.parameters, self._urdf), self.parameters)
+        self.get_logger().info("preparing the loop; the very first time it is compiled, for half a minute")
         session.warm_up()
         for assumption in session.model.assumptions:
             self.get_logger().warning(assumption)

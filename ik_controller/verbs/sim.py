@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ik_controller.errors import ParameterError
-from ik_controller.verbs.common import add_model_arguments, parameters_from
+from ik_controller.verbs.common import add_json_argument, add_model_arguments, parameters_from, print_json
 
 HELP = "simulate an arm: joint_commands in, joint_states out, until Ctrl-C"
 
@@ -24,6 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--quantisation", type=float, default=0.0, metavar="RAD", help="step of the measurement [rad or m]"
     )
     parser.add_argument("--seed", type=int, default=0, help="of the noise")
+    add_json_argument(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -45,5 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ParameterError(f"--start: need {model.n} finite values for {', '.join(model.joint_names)}")
     from ik_controller.ros.arm import simulate
 
-    simulate(model, q, arguments.rate, seed=arguments.seed, **options)
+    counts = simulate(model, q, arguments.rate, seed=arguments.seed, **options)
+    if arguments.json:
+        print_json(counts)
     return 0
