@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from ik_controller.errors import BagError
+from ik_controller.kinematics.accelerate import HAS_NUMBA
 from ik_controller.messages import cdr
 from ik_controller.messages.inputs import INPUTS
 from ik_controller.parameters import ControllerParameters
@@ -50,6 +51,7 @@ def software() -> dict[str, str]:
     """Return what may change a bit of the result: our version, Python, libraries, processor."""
     versions = {"ik_controller": _version("ik_controller"), "python": platform.python_version()}
     versions.update({name: _version(name) for name in _LIBRARIES})
+    versions["numba"] = _version("numba") if HAS_NUMBA else "none"
     versions["processor"] = _processor()
     return versions
 
