@@ -1,9 +1,10 @@
 """What the node is measured against: a bare polled relay of the same messages, and a bare sleep loop.
 
-    python -m ik_controller.ros.baseline relay|sleep
+    python -m ik_controller.ros.baseline relay|sleep|listen
 
-The relay polls the node's subscriptions, sends each joint state on as joint_commands, and does nothing else. Both run
-at 1 kHz until SIGTERM or SIGINT, and then print one JSON object: cycles, period_p99_us.
+The relay polls the node's subscriptions, sends each joint state on as relayed_commands, and does nothing else. It is
+listened to by `listen`, as the node is by the arm: sending to nobody would cost less. All run until SIGTERM or SIGINT,
+relay and sleep at 1 kHz, and then print one JSON object: period_p99_us.
 """
 
 from __future__ import annotations
@@ -49,6 +50,24 @@ def relay() -> Loop:
     return Loop(_PERIOD, cycle)
 
 
+def listen() -> Loop:
+    """Return the loop of a process that only receives what the relay sends."""
+    import rclpy
+    from rclpy.node import Node
+    from rclpy.signals import SignalHandlerOptions
+    from sensor_msgs.msg import JointState
+
+    from ik_controller.ros.polling import PolledGroup, PolledSubscription
+
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    commands = PolledSubscription(Node("listener"), PolledGroup(), JointState, "relayed_commands", 1, reliable=False)
+
+    def cycle(index: int, now: int, late: int) -> None:
+        commands.take()
+
+    return Loop(10 * _PERIOD, cycle)
+
+
 def sleep() -> Loop:
     """Return the loop that only sleeps to its deadlines."""
     return Loop(_PERIOD, lambda index, now, late: None)
@@ -56,7 +75,7 @@ def sleep() -> Loop:
 
 def main() -> None:
     """Run one of them until a signal."""
-    loop = {"relay": relay, "sleep": sleep}[sys.argv[1]]()
+    loop = {"relay": relay, "sleep": sleep, "listen": listen}[sys.argv[1]]()
     timing = Timing(_PERIOD, window=100_000)
     cycle = loop.cycle
 

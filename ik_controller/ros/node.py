@@ -105,7 +105,7 @@ class ControllerNode(Node):  # type: ignore[misc]
         self._timing = monitor.Timing(session.period)
         self._telling = monitor.Telling(session)
         self._monitor_every = max(round(self.parameters.rate / self.parameters.monitor_rate), 1)
-        self._status_every = max(round(self.parameters.rate / self.parameters.status_rate), 1)
+        self._status_every = max(round(self.parameters.rate / self.parameters.status_rate / 10.0), 1) * 10
         self._second = round(self.parameters.rate)
         self._told: tuple[Any, ...] = ()
 
@@ -236,10 +236,11 @@ class ControllerNode(Node):  # type: ignore[misc]
         self._timing.add(now + late)
         if index % self._monitor_every == 0:
             self._tell_pose(now, None if step is None else step.error)
-        told = session.status.code, session.status.limit, session.status.joint
-        if index % self._status_every == 0 or (told != self._told and index % 10 == 0):
-            self._told = told
-            self._tell_status(now, index % self._second < self._status_every)
+        if index % 10 == 0:
+            told = session.status.code, session.status.limit, session.status.joint
+            if index % self._status_every == 0 or told != self._told:
+                self._told = told
+                self._tell_status(now, index % self._second < self._status_every)
         if index % self._second == self._second // 2:
             gc.collect(1)
         if self._stop and step is None and self._loop is not None:

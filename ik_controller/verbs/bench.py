@@ -172,6 +172,7 @@ def _node(seconds: float) -> list[dict[str, Any]]:
             "sim": [*module, "ik_controller.cli", "sim"],
             "node": [*module, "ik_controller.ros.node", "--ros-args", *settings],
             "relay": [*module, "ik_controller.ros.baseline", "relay"],
+            "listen": [*module, "ik_controller.ros.baseline", "listen"],
             "sleep": [*module, "ik_controller.ros.baseline", "sleep"],
             "stream": [*module, "ik_controller.cli", "stream", str(_targets()), "--loop", "--patience", "30"],
         }
@@ -189,7 +190,7 @@ def _node(seconds: float) -> list[dict[str, Any]]:
                 time.sleep(seconds / _WINDOWS)
                 shares.append({name: _processor_time(p.pid) - before[name] for name, p in processes.items()})
             outputs = {}
-            for name in ("stream", "node", "relay", "sleep", "sim"):
+            for name in ("stream", "node", "relay", "listen", "sleep", "sim"):
                 processes[name].send_signal(signal.SIGTERM)
                 outputs[name], _ = processes[name].communicate(timeout=30.0)
         finally:
