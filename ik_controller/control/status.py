@@ -129,7 +129,7 @@ def in_words(direction: tuple[float, ...]) -> str:
         parts.append(f"move along {_axis(linear)}")
     if turn > 0.2 * length:
         parts.append(f"turn about {_axis(angular)}")
-    return fX if parts else ""
+    return "cannot " + " together with ".join(parts) if parts else ""
 
 
 def _axis(vector: tuple[float, ...]) -> str:
