@@ -27,7 +27,7 @@ FILES = {
     "requirements-dev.txt": (
         "What tests and lint need besides.",
         ["pytest", "hypothesis", "ruff", "mypy", "mcap-ros2-support", "example-robot-data",
-         "catkin_pkg"],
+         "catkin_pkg", "playwright", "pyarrow"],
     ),
     "requirements-ros.txt": (
         "ROS 2 Jazzy as wheels; left out where a ROS installation is sourced, whose rclpy is used instead.",
