@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ik_controller.recording.schema import typestore
+from ik_controller.recording.reader import open_bag
+from ik_controller.recording.schema import message_schema, typestore
+from ik_controller.recording.segment import ChunkBuilder, SegmentWriter
 from ik_controller.recording.writer import BagWriter, WriterStatus
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -91,3 +93,24 @@ def wait_until(condition: Callable[[], bool], seconds: float = 30.0) -> None:
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"
         time.sleep(0.002)
+
+
+def evenly_chunked(source: Path, target: Path, count: int = 500) -> Path:
+    """Copy a bag into one file with `count` messages a chunk: how a recorder cuts them depends on the disk's speed."""
+    bag = open_bag(source)
+    writer = SegmentWriter(target)
+    ids = {}
+    for number, topic in enumerate(bag.topics, start=1):
+        ids[topic.name] = number
+        writer.add_topic(number, topic.name, message_schema(topic.type_name), topic.qos)
+    for name in bag.metadata_names():
+        writer.add_metadata(name, bag.metadata(name))
+    chunk = ChunkBuilder()
+    for message in bag.messages():
+        chunk.add(ids[message.topic], message.sequence, message.log_time_ns, message.log_time_ns, message.data)
+        if chunk.count == count:
+            writer.add_chunk(chunk)
+            chunk.clear()
+    writer.add_chunk(chunk)
+    writer.seal()
+    return target
