@@ -46,9 +46,14 @@ INVERSES = (
 )
 
 
+_AT_START = ("robot", "autostart")  # the other read-only ones can be changed before the node is configured
+
+
 @dataclass(frozen=True)
 class Spec:
-    """What is known of one parameter besides its name; `kind` is its Python type as text."""
+    """What is known of one parameter besides its name; `kind` is its Python type as text; `read_only` while the node is
+    configured.
+    """
 
     name: str
     kind: str
@@ -61,6 +66,11 @@ class Spec:
     legal: tuple[str, ...]
     lengths: tuple[int, ...]
     read_only: bool
+
+    @property
+    def at_start(self) -> bool:
+        """Whether it can only be given when the node's process starts."""
+        return self.name in _AT_START
 
     @property
     def bounds(self) -> str:
@@ -209,14 +219,19 @@ class ControllerParameters:
     # node
     rate: float = _p(1000.0, "node", "Control cycles a second.", unit="Hz", low=100.0, high=1000.0, read_only=True)
     monitor_rate: float = _p(
-        100.0, "node", "~/current_pose and ~/tracking_error a second.", unit="Hz", low=0.1, high=1000.0, read_only=True
+        100.0, "node", "~/current_pose and ~/tracking_error a second.", unit="Hz", low=0.1, high=1000.0
     )
-    status_rate: float = _p(10.0, "node", "~/status a second.", unit="Hz", low=0.1, high=100.0, read_only=True)
+    status_rate: float = _p(
+        10.0, "node", "~/status a second; also sent on every change.", unit="Hz", low=0.1, high=100.0
+    )
+    autostart: bool = _p(
+        True, "node", "Configure and activate at once; without it wait for the lifecycle services.", read_only=True
+    )
     # recording
-    record: bool = _p(True, "recording", "Record from the start; the service ~/record switches it.", read_only=True)
-    record_folder: str = _p("runs", "recording", "Folder that gets one bag a run.", read_only=True)
+    record: bool = _p(True, "recording", "Record every run; the service ~/record switches it too.")
+    record_folder: str = _p("runs", "recording", "Folder that gets one bag a run; a change is for the next bag.")
     record_compression: str = _p(
-        "zstd", "recording", "Compression of the bag.", legal=("zstd", "lz4", "none"), read_only=True
+        "zstd", "recording", "Compression of the bag; a change is for the next bag.", legal=("zstd", "lz4", "none")
     )
 
     def __post_init__(self) -> None:
@@ -368,7 +383,8 @@ def table() -> str:
                 )
                 default = ", ".join(f"{v:g}" for v in spec.default) if isinstance(spec.default, tuple) else spec.default
                 shown = f"`{str(default).lower() if spec.kind == 'bool' else default}`" if default != "" else ""
-                fixed = " Fixed at start." if spec.read_only else ""
+                fixed = "Fixed at start." if spec.at_start else "Fixed while configured."
+                fixed = f" {fixed}" if spec.read_only else ""
                 lines.append(
                     f"| `{spec.name}` | {kind} | {shown} | {spec.unit} | {spec.bounds} | {spec.description}{fixed} |"
                 )

@@ -215,3 +215,24 @@ def _is_vector(text: str) -> bool:
     except ValueError:
         return False
     return len(values) == 3 and all(map(math.isfinite, values))
+
+
+def same_arm(text: str, other: str) -> bool:
+    """Say whether two well-formed URDFs differ in nothing that the control depends on, such as looks or masses."""
+    return _essence(ElementTree.fromstring(text)) == _essence(ElementTree.fromstring(other))
+
+
+_LOOKS = ("visual", "material", "inertial", "dynamics", "transmission", "gazebo", "ros2_control")
+
+
+def _essence(element: ElementTree.Element) -> tuple[object, ...]:
+    attributes = {name: tuple(map(_word, value.split())) for name, value in element.attrib.items()}
+    below = sorted((_essence(child) for child in element if child.tag not in _LOOKS), key=repr)
+    return str(element.tag), sorted(attributes.items()), below
+
+
+def _word(word: str) -> float | str:
+    try:
+        return float(word)
+    except ValueError:
+        return word

@@ -7,8 +7,12 @@ was stopped for longer than `STALL` does not catch up: the grid goes on from now
 
 from __future__ import annotations
 
+import contextlib
+import gc
+import sys
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 STALL = 100_000_000  # [ns]
 _CLOCK_STEP = 10_000_000  # [ns] of the system clock beyond which the grid's times follow it
@@ -57,3 +61,34 @@ class Loop:
                 step = time.time_ns() - monotonic() + start - epoch
                 if abs(step) > _CLOCK_STEP:
                     epoch += step
+
+
+_QUIET = threading.Lock()
+_quiet_count = 0
+_switch_interval = sys.getswitchinterval()
+
+
+@contextlib.contextmanager
+def undisturbed() -> Iterator[None]:
+    """Keep the interpreter for the loops while one runs: no collector at moments of its own choosing, quick switches.
+
+    Each loop collects once a second at the end of a cycle instead.
+    """
+    global _quiet_count, _switch_interval
+    with _QUIET:
+        _quiet_count += 1
+        if _quiet_count == 1:
+            gc.collect()
+            gc.freeze()
+            gc.disable()
+            _switch_interval = sys.getswitchinterval()
+            sys.setswitchinterval(1e-4)  # a loop gets the interpreter back from other threads within 0.1 ms
+    try:
+        yield
+    finally:
+        with _QUIET:
+            _quiet_count -= 1
+            if _quiet_count == 0:
+                sys.setswitchinterval(_switch_interval)
+                gc.enable()
+                gc.unfreeze()

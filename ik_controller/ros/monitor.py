@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,14 +10,16 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ik_controller.control.status import Code
+from ik_controller.kinematics.model import RobotModel
 from ik_controller.messages import cdr
 from ik_controller.recording.writer import WriterStatus
+from ik_controller.ros.loop import Loop
 from ik_controller.session import Session
 
 DIAGNOSTIC_STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
 DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 
-_OK, _WARN, _ERROR = 0, 1, 2
+OK, WARN, ERROR, STALE = range(4)  # of diagnostic_msgs/DiagnosticStatus
 _WINDOW = 1000  # cycles that the period's percentiles are taken over
 
 
@@ -43,44 +46,63 @@ class Timing:
 
 
 class Telling:
-    """Writes ~/current_pose and ~/tracking_error of a session."""
+    """Writes ~/current_pose and ~/tracking_error of a model's arm."""
 
-    def __init__(self, session: Session) -> None:
-        frame = session.model.base_frame
-        self._session = session
-        self._pose = cdr.StampedWriter(cdr.pose_message(0, frame, pin.SE3.Identity()), 7)
-        self._error = cdr.StampedWriter(cdr.twist_message(0, frame, np.zeros(6)), 6)
+    def __init__(self, model: RobotModel) -> None:
+        self._model = model
+        self._pose = cdr.StampedWriter(cdr.pose_message(0, model.base_frame, pin.SE3.Identity()), 7)
+        self._error = cdr.StampedWriter(cdr.twist_message(0, model.base_frame, np.zeros(6)), 6)
 
-    def pose(self, now: int) -> bytes | None:
-        """Return the tool's pose at the measured joints, None before the first joint state."""
-        q = self._session.measured
-        return None if q is None else self._pose.write(now, pin.SE3ToXYZQUAT(self._session.model.forward(q)))
+    def pose(self, now: int, q: NDArray[np.float64] | None) -> bytes | None:
+        """Return the tool's pose at the measured joints (n,), None before the first joint state."""
+        return None if q is None else self._pose.write(now, pin.SE3ToXYZQUAT(self._model.forward(q)))
 
     def error(self, now: int, error: NDArray[np.float64]) -> bytes:
         """Return reference minus tool (6,): position [m] and rotation vector [rad], in the base frame."""
         return self._error.write(now, error)
 
 
-def status(
-    session: Session, name: str, now: int, timing: Timing, missed: int, stalls: int, recorder: WriterStatus | None
-) -> Any:
-    """Return ~/status as a diagnostic_msgs/DiagnosticStatus: the sentence first, then every number behind it."""
+@dataclass(frozen=True)
+class Account:
+    """What there is to tell at one moment: level, one sentence, the arm's name, and every number behind it."""
+
+    level: int
+    sentence: str
+    hardware: str
+    values: dict[str, str]
+
+    def message(self, name: str) -> Any:
+        """Return it as a diagnostic_msgs/DiagnosticStatus of the node `name`."""
+        pairs = [cdr.message("diagnostic_msgs/msg/KeyValue", key, value) for key, value in self.values.items()]
+        return cdr.message(DIAGNOSTIC_STATUS, self.level, name, self.sentence, self.hardware, pairs)
+
+
+def at_rest(state: str, reason: str, hardware: str, description: str = "") -> Account:
+    """Return the account of a node that is not active: its lifecycle state and what it waits for."""
+    level = WARN if state == "inactive" else STALE
+    values = {"state": state, "recorder": "off"}
+    if description:
+        values["last_rejected"] = description
+    return Account(level, f"{state}: {reason}", hardware, values)
+
+
+def running(session: Session, now: int, timing: Timing, loop: Loop, recorder: WriterStatus | None) -> Account:
+    """Return the account of an active node."""
     state = session.status
     names = session.model.joint_names
     age = session.targets.age(now)
     feedback = session.feedback_arrival
     median, high = timing.percentiles()
-    rejected = sum(session.rejected.values())
     sentence = state.sentence(names)
-    level = _OK
+    level = OK
     if state.code in (Code.WAITING, Code.PAUSED) or state.joint >= 0 or state.damped:
-        level = _WARN
+        level = WARN
     if state.code in (Code.NO_FEEDBACK, Code.FAULT):
-        level = _ERROR
+        level = ERROR
     if state.code is Code.WAITING and session.last_rejected:
         sentence += f"; {session.last_rejected}"
     if recorder is not None and (recorder.lost or recorder.state == "interrupted"):
-        level = max(level, _WARN)
+        level = max(level, WARN)
         sentence += f"; recording {recorder.state}: {recorder.reason}, {recorder.lost} messages lost"
     values = {
         "state": state.code.name.lower(),
@@ -91,16 +113,15 @@ def status(
         "damped": str(state.damped).lower(),
         "target_age_s": "never" if age is None else f"{age:.3f}",
         "joint_state_age_s": "never" if feedback is None else f"{(now - feedback) * 1e-9:.3f}",
-        "rejected": str(rejected),
+        "rejected": str(sum(session.rejected.values())),
         **{f"rejected_{role}": str(count) for role, count in sorted(session.rejected.items())},
         "last_rejected": session.last_rejected,
         "period_p50_us": f"{median:.1f}",
         "period_p99_us": f"{high:.1f}",
-        "missed": str(missed),
-        "stalls": str(stalls),
+        "missed": str(loop.missed),
+        "stalls": str(loop.stalls),
         "recorder": "off" if recorder is None else recorder.state,
         "recorded_messages": "0" if recorder is None else str(recorder.messages),
         "recorder_lost": "0" if recorder is None else str(recorder.lost),
     }
-    pairs = [cdr.message("diagnostic_msgs/msg/KeyValue", key, value) for key, value in values.items()]
-    return cdr.message(DIAGNOSTIC_STATUS, level, name, sentence, session.model.robot_name, pairs)
+    return Account(level, sentence, session.model.robot_name, values)

@@ -34,7 +34,7 @@ def declare(node: Node) -> ControllerParameters:
             ParameterDescriptor(
                 description=f"{spec.description} [{spec.unit or '-'}]",
                 additional_constraints=spec.bounds,
-                read_only=spec.read_only,
+                read_only=spec.at_start,
                 dynamic_typing=True,  # so that `rate: 500` is a number too; `ControllerParameters` checks the types
             ),
             ignore_override=True,  # `parameters` has them already, checked
@@ -42,10 +42,8 @@ def declare(node: Node) -> ControllerParameters:
     return parameters
 
 
-def on_change(
-    node: Node, current: Callable[[], ControllerParameters], accept: Callable[[dict[str, Any]], None]
-) -> None:
-    """Check changes as a whole against `current()` and hand the changed names and values to `accept`.
+def on_change(node: Node, accept: Callable[[dict[str, Any]], None]) -> None:
+    """Hand each set of changed names and values to `accept`, all or none.
 
     `accept` may raise IkControllerError to refuse; the reason is the service's answer, and nothing is changed.
     """
@@ -55,7 +53,6 @@ def on_change(
         values = {change.name: _plain(change.value) for change in changes if change.name in known}
         try:
             if values:
-                current().replace(values)
                 accept(values)
         except IkControllerError as error:
             return SetParametersResult(successful=False, reason=str(error))

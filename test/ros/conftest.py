@@ -8,6 +8,16 @@ from pathlib import Path
 import pytest
 from rig import Rig
 
+from ik_controller.robots import build_model, bundled_parameters
+from ik_controller.session import Session
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled() -> None:
+    """Compile the loop's kernels before any deadline runs: in a fresh checkout that alone takes a minute."""
+    parameters = bundled_parameters("panda")
+    Session(build_model(parameters), parameters).warm_up()
+
 
 @pytest.fixture
 def rig(tmp_path: Path) -> Iterator[Rig]:

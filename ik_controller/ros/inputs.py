@@ -1,0 +1,58 @@
+"""Inputs: what the node subscribes to, and the subscriptions of one run, which the loop polls."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from trajectory_msgs.msg import MultiDOFJointTrajectory
+
+from ik_controller.ros.polling import PolledGroup, PolledSubscription
+
+_TAKEN_AT_ONCE = 200  # messages of one input a cycle, so that a flood cannot stop the loop
+
+
+class Input(NamedTuple):
+    """One input: message class, topic, queue depth, reliable."""
+
+    kind: Any
+    topic: str
+    depth: int
+    reliable: bool
+
+
+# By role, as in `messages.inputs.INPUTS`. A trajectory comes once and must come; streams must not wait.
+INPUTS = {
+    "joint_states": Input(JointState, "joint_states", 10, False),
+    "target_pose": Input(PoseStamped, "~/target_pose", 100, False),
+    "target_twist": Input(TwistStamped, "~/target_twist", 100, False),
+    "target_trajectory": Input(MultiDOFJointTrajectory, "~/target_trajectory", 10, True),
+    "target_joints": Input(JointState, "~/target_joints", 100, False),
+}
+
+
+class Inputs:
+    """The subscriptions of one run, from its activation on: what was sent before is not taken."""
+
+    def __init__(self, node: Node) -> None:
+        group = PolledGroup()
+        self._node = node
+        self._subscriptions = [(role, PolledSubscription(node, group, *settings)) for role, settings in INPUTS.items()]
+
+    def take(self) -> Iterator[tuple[str, bytes]]:
+        """Yield role and bytes of everything that has arrived, input by input."""
+        for role, subscription in self._subscriptions:
+            for _ in range(_TAKEN_AT_ONCE):
+                data = subscription.take()
+                if data is None:
+                    break
+                yield role, data
+
+    def close(self) -> None:
+        """Stop listening."""
+        for _, subscription in self._subscriptions:
+            self._node.destroy_subscription(subscription.subscription)
+        self._subscriptions = []

@@ -1,0 +1,76 @@
+"""Outputs: what the node publishes about its arm, cycle by cycle; each gives back the bytes, to be recorded."""
+
+from __future__ import annotations
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+
+from ik_controller.control.controller import Step
+from ik_controller.kinematics.model import RobotModel
+from ik_controller.messages import cdr
+from ik_controller.recording.run import default_topics
+from ik_controller.ros.inputs import INPUTS
+from ik_controller.ros.monitor import DIAGNOSTIC_ARRAY, Account, Telling
+from ik_controller.session import Session
+
+
+class Outputs:
+    """The publishers of a configured node; `topics`: role → resolved topic of all that a run's bag holds."""
+
+    def __init__(self, node: Node, model: RobotModel) -> None:
+        self._node = node
+        self._commands = node.create_publisher(JointState, "joint_commands", 10)
+        self._pose = node.create_publisher(PoseStamped, "~/current_pose", 10)
+        self._error = node.create_publisher(TwistStamped, "~/tracking_error", 10)
+        self._telling = Telling(model)
+        self._encode = cdr.JointStateWriter(model.joint_names).write
+        self.topics = default_topics(node.get_fully_qualified_name())
+        for role, settings in INPUTS.items():
+            self.topics[role] = node.resolve_topic_name(settings.topic)
+        for topic in ("joint_commands", "robot_description"):
+            self.topics[topic] = node.resolve_topic_name(topic)
+
+    def command(self, at: int, step: Step) -> list[tuple[str, bytes]]:
+        """Send a step's command, stamped `at` [ns]; return roles and bytes."""
+        data = self._encode(at, step.position, step.velocity)
+        self._commands.publish(data)
+        return [("joint_commands", data)]
+
+    def tell(self, now: int, session: Session, step: Step | None) -> list[tuple[str, bytes]]:
+        """Send tool pose and tracking error; return roles and bytes."""
+        sent = []
+        pose = self._telling.pose(now, session.measured)
+        if pose is not None:
+            self._pose.publish(pose)
+            sent.append(("current_pose", pose))
+        if step is not None:
+            error = self._telling.error(now, step.error)
+            self._error.publish(error)
+            sent.append(("tracking_error", error))
+        return sent
+
+    def close(self) -> None:
+        """Destroy the publishers."""
+        for publisher in (self._commands, self._pose, self._error):
+            self._node.destroy_publisher(publisher)
+
+
+class StatusOutput:
+    """Publishes ~/status and /diagnostics, from the node's first moment to its last, whatever its state."""
+
+    def __init__(self, node: Node) -> None:
+        self._name = node.get_fully_qualified_name().lstrip("/")
+        self._status = node.create_publisher(DiagnosticStatus, "~/status", 10)
+        self._diagnostics = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+
+    def tell(self, now: int, account: Account, diagnostics: bool) -> bytes:
+        """Send an account as ~/status and, where asked for, as /diagnostics; return the status' bytes."""
+        content = account.message(self._name)
+        data = cdr.encode(content)
+        self._status.publish(data)
+        if diagnostics:
+            array = cdr.message(DIAGNOSTIC_ARRAY, cdr.header(now, ""), [content])
+            self._diagnostics.publish(cdr.encode(array))
+        return data

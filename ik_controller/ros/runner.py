@@ -1,0 +1,170 @@
+"""Runner: one run of one arm, from activation to deactivation; takes what arrives, steps, publishes, records, tells.
+
+The loop runs in a thread of its own. What others ask for is queued as events of `Session.apply` and done between two
+cycles, so that a run is one sequence that can be repeated.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.node import Node
+
+from ik_controller.errors import IkControllerError
+from ik_controller.kinematics.model import RobotModel
+from ik_controller.parameters import ControllerParameters
+from ik_controller.ros import monitor
+from ik_controller.ros.inputs import Inputs
+from ik_controller.ros.loop import Loop, undisturbed
+from ik_controller.ros.outputs import Outputs, StatusOutput
+from ik_controller.ros.recorder import Recorder
+from ik_controller.session import Session
+
+_STOP_TIME = 5.0  # [s] that braking at the end may take
+_LOOK = 10  # cycles between looks at whether the status has changed
+
+
+class Runner:
+    """One run: `start` subscribes and starts the loop, `stop` brakes the arm and returns when the bag is sealed."""
+
+    def __init__(
+        self,
+        node: Node,
+        model: RobotModel,
+        parameters: ControllerParameters,
+        outputs: Outputs,
+        status: StatusOutput,
+        on_crash: Callable[[Exception], None],
+    ) -> None:
+        """`on_crash` is told of an exception that ended the loop. Raises ParameterError: parameters do not fit."""
+        self.session = Session(model, parameters)
+        self.recorder = Recorder(node.get_logger())
+        self._node = node
+        self._logger = node.get_logger()
+        self._outputs = outputs
+        self._status = status
+        self._on_crash = on_crash
+        self._quiet = contextlib.ExitStack()
+        self._events: deque[str] = deque()
+        self._stop = False
+        self._stop_by: int | None = None  # when braking at the end has taken too long [ns]
+        self._loop = Loop(self.session.period, self._cycle, self._on_stall)
+        self._thread = threading.Thread(target=self._run, name="loop")
+        self._timing = monitor.Timing(self.session.period)
+        self._told: tuple[Any, ...] = ()
+        self.set_rates(parameters)
+
+    # -- the executor's side: it only queues
+
+    def start(self) -> None:
+        """Subscribe and start the loop."""
+        self._quiet.enter_context(undisturbed())
+        # Subscribing is the last thing before the loop: who finds us listening is served at once.
+        self._inputs = Inputs(self._node)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Brake, end the loop, seal the bag; return when all that is done."""
+        self._stop = True
+        self._thread.join()
+        self._quiet.close()
+        self._inputs.close()
+        self.recorder.close()
+
+    def request(self, **event: Any) -> None:
+        """Ask for an event of `Session.apply` before the next cycle."""
+        self._events.append(json.dumps(event))
+
+    def record(self, parameters: ControllerParameters) -> str:
+        """Start recording, unless it runs; return the bag's folder. Raises BagError."""
+        folder = self.recorder.folder
+        if folder is None:
+            folder = self.recorder.start(self.session, self._outputs.topics, parameters.record_folder)
+        return str(folder)
+
+    def set_rates(self, parameters: ControllerParameters) -> None:
+        """Take up how often to tell what."""
+        rate = parameters.rate
+        self._monitor_every = max(round(rate / parameters.monitor_rate), 1)
+        self._status_every = max(round(rate / parameters.status_rate / _LOOK), 1) * _LOOK
+        self._second = round(rate)
+
+    # -- the loop's side
+
+    def _run(self) -> None:
+        try:
+            self._loop.run()
+        except Exception as error:  # a bug: the process must not go on as if it controlled the arm
+            self._on_crash(error)
+
+    def _cycle(self, index: int, now: int, late: int) -> None:
+        begin = time.monotonic_ns()
+        session = self.session
+        bag = self.recorder.switch(session, now)
+        if self._stop:
+            self._brake(now)
+        while self._events:
+            self._apply(self._events.popleft(), now)
+        for role, data in self._inputs.take():
+            if bag is not None:
+                bag.write(role, now, data)
+            if not session.take(role, data, now):
+                self._logger.warning(f"rejected: {session.last_rejected}", throttle_duration_sec=1.0)
+        step = session.cycle(now)
+        if step is not None:
+            # The command is for the cycle's end: that is its stamp.
+            self._record(now, self._outputs.command(now + session.period, step))
+        work = time.monotonic_ns() - begin
+        if bag is not None:
+            bag.cycle(index, now, int(session.status.code), late, work, step is not None)
+        self._timing.add(now + late)
+        if index % self._monitor_every == 0:
+            self._record(now, self._outputs.tell(now, session, step))
+        if index % _LOOK == 0:
+            told = session.status.code, session.status.limit, session.status.joint
+            if index % self._status_every == 0 or told != self._told:
+                self._told = told
+                self._tell_status(now, index % self._second < self._status_every)
+        if index % self._second == self._second // 2:
+            gc.collect(1)
+        if self._stop and step is None:
+            self._loop.stop = True
+
+    def _record(self, now: int, sent: list[tuple[str, bytes]]) -> None:
+        bag = self.recorder.bag
+        if bag is not None:
+            for role, data in sent:
+                bag.write(role, now, data)
+
+    def _apply(self, event: str, now: int) -> None:
+        try:
+            self.session.apply(event)
+        except IkControllerError as error:
+            self._logger.error(str(error))
+            return
+        if self.recorder.bag is not None:
+            self.recorder.bag.event(now, event)
+
+    def _brake(self, now: int) -> None:
+        """End as with a pause: the arm brakes within its limits, then the session has nothing more to command."""
+        if self._stop_by is None:
+            self._stop_by = now + int(_STOP_TIME * 1e9)
+        if not self.session.paused:
+            self._apply(json.dumps({"do": "pause"}), now)
+        elif now > self._stop_by:
+            self._loop.stop = True
+
+    def _on_stall(self, skipped: int) -> None:
+        self._logger.error(f"the process was held up for {skipped} cycles: starting again from the measured position")
+        self.request(do="reset")
+
+    def _tell_status(self, now: int, diagnostics: bool) -> None:
+        account = monitor.running(self.session, now, self._timing, self._loop, self.recorder.status())
+        self._record(now, [("status", self._status.tell(now, account, diagnostics))])
