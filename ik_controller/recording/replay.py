@@ -16,16 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.control.controller import Step
-from ik_controller.control.simulated_arm import SimulatedArm
 from ik_controller.control.status import Code
 from ik_controller.errors import BagError, ParameterError
 from ik_controller.messages import cdr
 from ik_controller.messages.inputs import INPUTS
 from ik_controller.parameters import ControllerParameters
 from ik_controller.recording.reader import BagReader
-from ik_controller.recording.run import RunInfo, RunWriter, default_topics, software
+from ik_controller.recording.run import RunInfo, RunWriter, software
 from ik_controller.recording.statistics import ErrorStatistics
-from ik_controller.recording.target_bag import TimedTarget, read_targets, restamped
+from ik_controller.recording.target_bag import TargetOptions
 from ik_controller.robots import build_model
 from ik_controller.session import Session
 
@@ -139,11 +138,13 @@ def replay(
     changes: Mapping[str, Any] | None = None,
     robot: ControllerParameters | None = None,
     output: Path | None = None,
+    targets: TargetOptions | None = None,
     watch: Callable[[Iterator[Cycle], Session], Iterator[Cycle]] | None = None,
 ) -> Replay:
     """Replay a bag and compare; see the module.
 
-    `changes`: parameters to change, for a what-if run. `robot`: the parameters for a bag that holds no run of ours.
+    `changes`: parameters to change, for a what-if run. `robot`: the parameters for a bag that holds no run of ours, and
+    `targets` how its motion is taken.
     `output`: folder of a new bag with the replayed run. `watch` sees the cycles of a run of ours pass. Raises
     BagError, ParameterError, ModelError.
     """
@@ -151,7 +152,9 @@ def replay(
     if RunInfo.of(bag) is None:
         if robot is None:
             raise BagError(f"bag '{bag.path}' holds no run of ik_controller: name the robot to run its targets on")
-        return _run_foreign(bag, robot.replace(changed), output)
+        from ik_controller.recording.ideal_run import run_on_ideal_arm
+
+        return run_on_ideal_arm(bag, robot.replace(changed), targets, output)
     session, info = session_of(bag, changed)
     result = Replay(identical=True, complete=bag.complete)
     now_software = software()
@@ -210,86 +213,6 @@ def _note_difference(result: Replay, cycle: Cycle, encode: cdr.JointStateWriter)
         result.max_difference = float("inf")
         return
     result.max_difference = max(result.max_difference, float(np.abs(cycle.step.position - recorded).max()))
-
-
-def _run_foreign(bag: BagReader, parameters: ControllerParameters, output: Path | None) -> Replay:
-    """Run a bag's targets, or its joint states as tool poses, on the ideal arm."""
-    model = build_model(parameters)
-    session = Session(model, parameters)
-    start = np.array(parameters.posture) if parameters.posture else model.middle()
-    kinds = {topic.type_name for topic in bag.topics}
-    if kinds & {cdr.POSE, cdr.TWIST, cdr.TRAJECTORY}:
-        targets = read_targets(bag)
-    else:
-        targets, start = _joints_as_poses(bag, session)
-    result = Replay(complete=bag.complete)
-    writer = RunWriter(output, session, default_topics(), patient=True) if output else None
-    arm = SimulatedArm(start)
-    encode = cdr.JointStateWriter(model.joint_names)
-    epoch = 1_000_000_000_000_000_000
-    if writer is not None:
-        writer.begin(session, epoch)
-    end = targets[-1].time + int(2e9 * parameters.command_timeout)
-    upcoming = iter(targets)
-    target = next(upcoming, None)
-    session.warm_up()
-    begin = time.perf_counter()
-    index = 0
-    while index * session.period <= end:
-        now = epoch + index * session.period
-        arrived = [("joint_states", encode.write(now, *arm.measure()))]
-        while target is not None and target.time <= index * session.period:
-            arrived.append((target.role, restamped(target.data, epoch + target.time)))
-            target = next(upcoming, None)
-        for role, data in arrived:
-            session.take(role, data, now)
-            if writer is not None:
-                writer.write(role, now, data)
-        step = session.cycle(now)
-        if step is not None:
-            arm.command(step.position)
-            if step.status.code is Code.TRACKING:
-                result.errors.add(step.error)
-            result.commands += 1
-        arm.advance(session.dt)
-        if writer is not None:
-            if step is not None:
-                command = encode.write(now + session.period, step.position, step.velocity)
-                writer.write("joint_commands", now, command)
-            writer.cycle(index, now, int(session.status.code), 0, 0, int(step is not None))
-        index += 1
-    result.cycles = index
-    result.elapsed = time.perf_counter() - begin
-    result.duration = index * session.dt
-    if writer is not None:
-        writer.close()
-    if session.rejected and not result.errors.count:
-        raise BagError(f"bag '{bag.path}': none of its targets could be used: {session.last_rejected}")
-    return result
-
-
-def _joints_as_poses(bag: BagReader, session: Session) -> tuple[list[TimedTarget], Array]:
-    """Return the tool poses of a bag's joint states, and the first joint positions. Raises BagError where there is
-    none.
-    """
-    topics = [topic.name for topic in bag.topics if topic.type_name == cdr.JOINT_STATE]
-    if not topics:
-        raise BagError(f"bag '{bag.path}' has neither targets nor joint states")
-    reader = cdr.JointStateReader(session.model.joint_names)
-    poses: list[TimedTarget] = []
-    start: Array | None = None
-    first = 0
-    for _, log_time, data, _ in bag.messages(topics[:1]):
-        q = reader.read(data)
-        if q is None:
-            continue
-        if start is None:
-            start, first = q.copy(), log_time
-        pose = cdr.pose_message(0, session.model.base_frame, session.model.forward(q))
-        poses.append(TimedTarget(log_time - first, "target_pose", pose))
-    if start is None:
-        raise BagError(f"bag '{bag.path}': its joint states name none of {', '.join(session.model.joint_names)}")
-    return poses, start
 
 
 def describe_software(differences: Mapping[str, tuple[str, str]]) -> str:

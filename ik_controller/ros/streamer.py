@@ -13,28 +13,31 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from ik_controller.errors import IkControllerError
-from ik_controller.recording.target_bag import TimedTarget, restamped
+from ik_controller.recording.target_bag import TargetBag, restamped
 from ik_controller.ros.polling import PolledGroup, PolledSubscription
 
 _KINDS = {
     "target_pose": PoseStamped,
     "target_twist": TwistStamped,
     "target_trajectory": MultiDOFJointTrajectory,
+    "target_joints": JointState,
 }
 
 
 def stream(
-    targets: list[TimedTarget],
+    targets: TargetBag,
     node_name: str = "/ik_controller",
     *,
+    duration: float | None = None,
     loop: bool = False,
     patience: float = 10.0,
     progress: Callable[[float], None] | None = None,
 ) -> int:
-    """Send targets until they end, or SIGINT or SIGTERM; return how many were sent.
+    """Send targets until they end, `duration` [s] is over, or SIGINT or SIGTERM; return how many were sent.
 
     Waits up to `patience` [s] until the node listens and tells its tool's pose, which it does once it knows the arm's
     joints; raises IkControllerError if it does not. `progress` is called with the seconds sent so far.
@@ -51,7 +54,7 @@ def stream(
         signal.signal(number, stop)
     publishers: dict[str, Any] = {}
     try:
-        roles = sorted({target.role for target in targets})
+        roles = sorted(targets.roles)
         try:
             for role in roles:
                 publishers[role] = node.create_publisher(_KINDS[role], f"{node_name}/{role}", 100)
@@ -74,6 +77,8 @@ def stream(
         while not stopped:
             start, epoch = time.monotonic_ns(), time.time_ns()
             for target in targets:
+                if duration is not None and target.time > duration * 1e9:
+                    break
                 wait = start + target.time - time.monotonic_ns()
                 if wait > 0:
                     time.sleep(wait * 1e-9)

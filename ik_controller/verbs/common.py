@@ -14,6 +14,7 @@ from ik_controller.errors import ParameterError
 if TYPE_CHECKING:
     from ik_controller.kinematics.model import RobotModel
     from ik_controller.parameters import ControllerParameters
+    from ik_controller.recording.target_bag import TargetOptions
 
 
 def add_model_arguments(parser: argparse.ArgumentParser, default: str | None = None) -> None:
@@ -66,6 +67,53 @@ def model_from(arguments: argparse.Namespace) -> RobotModel:
     from ik_controller.robots import build_model
 
     return build_model(parameters_from(arguments))
+
+
+def add_target_arguments(parser: argparse.ArgumentParser, placing: bool = False) -> None:
+    """Add what says how somebody's motion is taken; `placing`: also where to, which needs a robot."""
+    group = parser.add_argument_group("somebody's motion")
+    group.add_argument(
+        "--map",
+        nargs="+",
+        default=(),
+        metavar="ROLE=TOPIC[:FRAME]",
+        help="which topic is target_pose, target_twist, target_trajectory or target_joints; FRAME: the frame that "
+        "moves, in a topic of transforms (unasked: what fits)",
+    )
+    group.add_argument("--frame", default="", metavar="LINK", help="link in which the poses are, instead of their own")
+    group.add_argument("--scale", type=float, default=1.0, metavar="S", help="positions times S (1)")
+    group.add_argument("--turn", type=float, default=1.0, metavar="T", help="rotations times T (1)")
+    group.add_argument("--offset", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar=("X", "Y", "Z"), help="[m]")
+    if placing:
+        place = group.add_mutually_exclusive_group()
+        place.add_argument("--to-start", action="store_true", help="move the first pose to the arm's posture")
+        place.add_argument("--to-middle", action="store_true", help="move the motion's middle to the arm's posture")
+    group.add_argument("--twists", action="store_true", help="give each pose the twist from its neighbours")
+    group.add_argument("--max-gap", type=float, default=math.inf, metavar="S", help="shorten longer pauses to S")
+
+
+def target_options_from(arguments: argparse.Namespace) -> TargetOptions:
+    """Return what the arguments of `add_target_arguments` say. Raises IkControllerError."""
+    from ik_controller.recording.fit import Fitting
+    from ik_controller.recording.target_bag import Source, TargetOptions
+
+    for name in ("scale", "turn"):
+        value = getattr(arguments, name)
+        if not 0.0 < value < math.inf and not (name == "turn" and value == 0.0):
+            raise ParameterError(f"--{name} {value:g}: need a positive number")
+    if not all(map(math.isfinite, arguments.offset)):
+        raise ParameterError("--offset: need finite values")
+    if not arguments.max_gap > 0.0:
+        raise ParameterError(f"--max-gap {arguments.max_gap:g}: need a positive time")
+    place = "start" if getattr(arguments, "to_start", False) else ""
+    place = "middle" if getattr(arguments, "to_middle", False) else place
+    return TargetOptions(
+        sources=tuple(Source.parse(text) for text in arguments.map),
+        frame=arguments.frame,
+        fitting=Fitting(arguments.scale, arguments.turn, tuple(arguments.offset), place),
+        twists=arguments.twists,
+        max_gap=arguments.max_gap,
+    )
 
 
 def add_json_argument(parser: argparse.ArgumentParser) -> None:

@@ -41,7 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the demo; 0 where the replay is bit-identical, else 1."""
-    from ik_controller.recording.target_bag import load_targets
+    from ik_controller.recording.reader import open_bag
+    from ik_controller.recording.target_bag import TargetBag
     from ik_controller.share import bag_folder
 
     values = {} if arguments.rate is None else {"rate": arguments.rate}
@@ -49,8 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.targets is None and not parameters.robot:
         raise BagError("no targets for this robot: give --targets BAG")
     targets_bag = Path(arguments.targets) if arguments.targets else bag_folder(f"{parameters.robot}_figure_eight")
-    targets = load_targets(targets_bag)
-    length = targets[-1].time * 1e-9
+    length = TargetBag(open_bag(targets_bag)).duration * 1e-9
     if arguments.duration is not None:
         if not arguments.duration > 0.0:
             raise BagError(f"--duration {arguments.duration:g}: need a positive time")

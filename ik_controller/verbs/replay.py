@@ -6,7 +6,15 @@ import argparse
 from pathlib import Path
 
 from ik_controller.errors import ParameterError
-from ik_controller.verbs.common import add_json_argument, add_model_arguments, parameters_from, print_json, print_table
+from ik_controller.verbs.common import (
+    add_json_argument,
+    add_model_arguments,
+    add_target_arguments,
+    parameters_from,
+    print_json,
+    print_table,
+    target_options_from,
+)
 
 HELP = "run a recorded run again, offline, and compare every command bit for bit"
 
@@ -21,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--tolerance", type=float, default=0.0, metavar="T", help="largest difference that passes [rad or m] (0: bits)"
     )
+    add_target_arguments(parser, placing=True)
     add_model_arguments(parser, default="panda")
     add_json_argument(parser)
 
@@ -35,7 +44,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise ParameterError(f"--tolerance {arguments.tolerance}: need 0 or more")
     changes = yaml_values(arguments.params) if arguments.params else {}
     output = Path(arguments.output) if arguments.output else None
-    result = replay(open_bag(arguments.bag), changes=changes, robot=parameters_from(arguments), output=output)
+    robot, targets = parameters_from(arguments, changes), target_options_from(arguments)
+    result = replay(open_bag(arguments.bag), changes=changes, robot=robot, targets=targets, output=output)
     if arguments.json:
         print_json(result.as_mapping())
     else:

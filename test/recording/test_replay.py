@@ -14,7 +14,7 @@ from ik_controller.messages import cdr
 from ik_controller.recording.reader import open_bag
 from ik_controller.recording.replay import replay
 from ik_controller.recording.run import METADATA, RunInfo
-from ik_controller.recording.target_bag import TimedTarget, load_targets, write_targets
+from ik_controller.recording.target_bag import Source, TargetBag, TargetOptions, TimedTarget, write_targets
 from ik_controller.recording.writer import BagWriter
 from ik_controller.robots import build_model, bundled_parameters
 
@@ -178,9 +178,11 @@ def test_a_bag_that_fits_nothing_is_told(tmp_path: Path) -> None:
 
 
 def test_targets_of_chosen_topics(targets: Path) -> None:
-    assert {t.role for t in load_targets(targets, ["/ik_controller/target_twist"])} == {"target_twist"}
-    with pytest.raises(BagError, match=r"no targets on '/nothing'; it has: /ik_controller/target_pose"):
-        load_targets(targets, ["/nothing"])
+    only = TargetOptions(sources=(Source.parse("target_twist=/ik_controller/target_twist"),))
+    assert {t.role for t in TargetBag(open_bag(targets), only)} == {"target_twist"}
+    nothing = TargetOptions(sources=(Source.parse("target_twist=/nothing"),))
+    with pytest.raises(BagError, match=r"no topic '/nothing'; it has: /ik_controller/target_pose"):
+        TargetBag(open_bag(targets), nothing)
 
 
 def test_a_cut_off_run_replays_as_far_as_it_is_whole(tmp_path: Path) -> None:

@@ -104,7 +104,7 @@ def test_as_a_process(tmp_path: Path) -> None:
         (["sim", "--urdf", "x.urdf"], ["--tip"]),
         (["sim", "--urdf", "x.urdf", "--tip", "tool"], ["x.urdf"]),
         (["stream", "no_such_bag"], ["no_such_bag"]),
-        (["stream", "targets", "--topics", "/nothing"], ["/nothing", "/ik_controller/target_pose"]),
+        (["stream", "targets", "--map", "target_pose=/nothing"], ["/nothing", "/ik_controller/target_pose"]),
         (["stream", "targets", "--duration", "-1"], ["--duration"]),
         (["stream", "targets", "--duration", "nan"], ["--duration"]),
         (["stream", "targets", "--node", "no name"], ["no name"]),
