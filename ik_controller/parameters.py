@@ -122,10 +122,10 @@ class ControllerParameters:
     tool_offset: tuple[float, ...] = _p(
         (),
         "robot",
-        "Tool point in the tip frame: x y z qx qy qz qw; empty: the tip itself.",
+        "Tool point in the tip frame: x y z qx qy qz qw; empty: the tip itself. Changed at run time, the arm goes "
+        "within its limits to where the new tool point is at the target.",
         unit="m, 1",
         lengths=(0, 7),
-        read_only=True,
     )
     locked_joint_names: tuple[str, ...] = _p(
         (), "robot", "Joints outside the chain that are locked elsewhere than at 0.", read_only=True
@@ -189,11 +189,73 @@ class ControllerParameters:
         "within max_deviation of the measured.",
         legal=("commanded", "measured", "bounded"),
     )
+    measured_gain: float = _p(
+        10.0,
+        "law",
+        "Largest gain where integration_base is measured: the loop then runs through the arm, and is stable while "
+        "this times the arm's delay and lag stays below 0.5.",
+        unit="1/s",
+        low=0.01,
+    )
     max_deviation: float = _p(
         0.1, "law", "Largest commanded minus measured joint position, for integration_base bounded.", unit="rad, m",
         low=1e-6,
     )  # fmt: skip
     # reference
+    mode: str = _p(
+        "auto",
+        "reference",
+        "Which targets are followed: the kind that arrived last, or one kind alone (pose: poses with their twists); "
+        "others are rejected.",
+        legal=("auto", "pose", "twist", "trajectory", "joints"),
+    )
+    twist_unit: str = _p(
+        "speed",
+        "reference",
+        "Twists and jogs are speeds (m/s, rad/s), or unitless, −1 to 1, times the scales below.",
+        legal=("speed", "unitless"),
+    )
+    linear_scale: float = _p(0.4, "reference", "Speed of a unitless linear 1.", unit="m/s", low=0.0, high=10.0)
+    angular_scale: float = _p(0.8, "reference", "Speed of a unitless angular 1.", unit="rad/s", low=0.0, high=30.0)
+    joint_scale: float = _p(0.5, "reference", "Speed of a unitless joint jog 1.", unit="rad/s, m/s", low=0.0, high=30.0)
+    twist_reference_point: str = _p(
+        "tool",
+        "reference",
+        "A twist command is the velocity of the tool point, only rotated from its frame to the base (tool); or of the "
+        "point of the tool's body that is at the frame's origin (frame). Twists beside poses are always of the tool.",
+        legal=("tool", "frame"),
+    )
+    trajectory_mode: str = _p(
+        "replace",
+        "reference",
+        "A new trajectory replaces the last one, or is appended: what is before its first point stays, and stamp 0 "
+        "means from the last one's end.",
+        legal=("replace", "append"),
+    )
+    goal_position_tolerance: float = _p(
+        0.001, "reference", "A trajectory's goal is reached when the measured tool is this near.", unit="m", low=0.0
+    )
+    goal_orientation_tolerance: float = _p(
+        0.01,
+        "reference",
+        "A trajectory's goal is reached when the measured tool is turned by less than this.",
+        unit="rad",
+        low=0.0,
+    )
+    goal_joint_tolerance: float = _p(
+        0.01, "reference", "A joint trajectory's goal is reached when every joint is this near.", unit="rad, m", low=0.0
+    )
+    goal_time: float = _p(
+        1.0, "reference", "Time after a trajectory's end before its goal counts as missed.", unit="s", low=0.0
+    )
+    transform_timeout: float = _p(
+        0.1,
+        "reference",
+        "How long a target in a frame of TF waits for its transform before it is rejected.",
+        unit="s",
+        low=0.0,
+        high=10.0,
+    )
     reference_mode: str = _p(
         "extrapolate",
         "reference",
@@ -227,6 +289,43 @@ class ControllerParameters:
     autostart: bool = _p(
         True, "node", "Configure and activate at once; without it wait for the lifecycle services.", read_only=True
     )
+    command_output: str = _p(
+        "joint_state",
+        "node",
+        "Type of the commands: JointState; JointTrajectory of one point; Float64MultiArray of positions or velocities.",
+        legal=("joint_state", "joint_trajectory", "position_array", "velocity_array"),
+        read_only=True,
+    )
+    command_topic: str = _p(
+        "",
+        "node",
+        "Topic of the commands; empty: joint_commands, joint_trajectory_controller/joint_trajectory, "
+        "forward_position_controller/commands or forward_velocity_controller/commands.",
+        read_only=True,
+    )
+    trajectory_velocities: bool = _p(
+        False,
+        "node",
+        "JointTrajectory commands have velocities too; joint_trajectory_controller takes them only with "
+        "allow_nonzero_velocity_at_trajectory_end.",
+        read_only=True,
+    )
+    second_publisher: str = _p(
+        "warn",
+        "node",
+        "When an input has more than one publisher: warn, refuse all its messages until one is left, or allow it.",
+        legal=("warn", "refuse", "allow"),
+    )
+    tool_frame: str = _p(
+        "ik_controller_tool",
+        "node",
+        "TF frame of the tool point, sent below the tip frame where tf2 is installed; empty: not sent.",
+        read_only=True,
+    )
+    servo_interface: bool = _p(
+        False, "node", "Inputs, services and status under MoveIt Servo's names and types.", read_only=True
+    )
+    servo_name: str = _p("servo_node", "node", "Node name before MoveIt Servo's names.", read_only=True)
     # recording
     record: bool = _p(True, "recording", "Record every run; the service ~/record switches it too.")
     record_folder: str = _p("runs", "recording", "Folder that gets one bag a run; a change is for the next bag.")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ik_controller.errors import ParameterError
+from ik_controller.errors import ModelError, ParameterError
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.kinematics.urdf import Urdf
 from ik_controller.parameters import ControllerParameters, yaml_values
@@ -32,6 +32,19 @@ def urdf_text(parameters: ControllerParameters) -> str | None:
     if parameters.urdf:
         return Urdf.load(Path(parameters.urdf)).text
     return None
+
+
+def with_tool(model: RobotModel, before: ControllerParameters, after: ControllerParameters) -> RobotModel:
+    """Return the model with the tool of the parameters `after`; the same model where `before` had it already.
+
+    Raises ParameterError where the offset is no pose.
+    """
+    if before.tool_offset == after.tool_offset:
+        return model
+    try:
+        return model.with_tool_offset(after.tool_offset or (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+    except ModelError as error:
+        raise ParameterError(str(error)) from None
 
 
 def build_model(parameters: ControllerParameters, urdf: str | None = None) -> RobotModel:

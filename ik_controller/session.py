@@ -15,31 +15,36 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ik_controller.control.controller import Controller, Step
+from ik_controller.control.goal import Goal
+from ik_controller.control.reference import Reference
 from ik_controller.control.status import Code, Status
 from ik_controller.control.targets import Targets
-from ik_controller.errors import IkControllerError, MessageError, choices
-from ik_controller.kinematics.model import RobotModel
+from ik_controller.errors import IkControllerError, MessageError, ModelError, choices
+from ik_controller.kinematics.model import RobotModel, pose_from
 from ik_controller.messages.cdr import (
     JOINT_STATE,
     JointStateReader,
     JointStateWriter,
     decode,
+    frame_of,
     pose_message,
     twist_message,
 )
-from ik_controller.messages.inputs import Inputs
+from ik_controller.messages.inputs import FRAMED, Inputs
 from ik_controller.parameters import ControllerParameters
+from ik_controller.robots import with_tool
 
 Array = NDArray[np.float64]
 
-EVENTS = ("pause", "resume", "reset", "parameters", "state")
+EVENTS = ("pause", "resume", "reset", "clock", "parameters", "refuse", "transform", "state")
 
 
 class Session:
     """Takes inputs as they arrive and turns each cycle's into one command.
 
     `controller`, `targets`, `parameters`; `period` of a cycle [ns], `dt` the same [s]; `rejected` counts unusable
-    messages by role, `last_rejected` tells of the last one; `paused`; `status` of the last cycle.
+    messages by role, `last_rejected` tells of the last one; `paused`; `status` of the last cycle; `goal` of the last
+    trajectory. Its model is its own where the tool is changed at run time.
     """
 
     def __init__(self, model: RobotModel, parameters: ControllerParameters) -> None:
@@ -52,8 +57,10 @@ class Session:
         self.rejected: Counter[str] = Counter()
         self.last_rejected = ""
         self.status = Status(Code.WAITING)
+        self.goal = Goal()
         self.feedback_arrival: int | None = None
-        self._inputs = Inputs(model, self.targets)
+        self._refused: dict[str, str] = {}  # role → why nothing is taken from it
+        self._inputs = Inputs(model, self.targets, parameters)
         self._joint_states = JointStateReader(model.joint_names)
         self._measured: Array | None = None
         self._running = False
@@ -71,6 +78,8 @@ class Session:
     def take(self, role: str, data: bytes, arrival: int) -> bool:
         """Take one message of a role of INPUTS that arrived at `arrival` [ns]; return False where it was rejected."""
         try:
+            if role in self._refused:
+                raise MessageError(self._refused[role])
             if role == "joint_states":
                 measured = self._joint_states.read(data)
                 if measured is not None:
@@ -81,12 +90,25 @@ class Session:
                         f"none of the joints {choices(self.model.joint_names)}; the message has: {names}"
                     )
             else:
-                self._inputs.take(role, data, arrival, self.controller.position)
+                self._inputs.take(role, data, arrival, self.controller.position, self.controller.velocity)
+                if role in ("target_trajectory", "target_joint_trajectory"):
+                    self.goal.begin()
         except MessageError as error:
             self.rejected[role] += 1
             self.last_rejected = f"{role}: {error}"
             return False
+        finally:
+            self._inputs.frames.forget()
         return True
+
+    def foreign_frame(self, role: str, data: bytes) -> str:
+        """Return the frame of a target that the model does not know and TF may, "" where there is none: an event
+        "transform" is wanted before the message.
+        """
+        if role not in FRAMED:
+            return ""
+        frame = frame_of(data)
+        return "" if self._inputs.frames.known(frame) else frame
 
     def apply(self, event: str) -> None:
         """Apply one event, JSON text with the key "do" of EVENTS; between two cycles.
@@ -110,6 +132,14 @@ class Session:
         elif do == "reset":
             self._restarting = self._running
             self.targets.clear()
+        elif do == "clock":  # time jumped: what was timed by it is of no use any more
+            self._restarting = self._running
+            self.targets.clear()
+            self._measured = self.feedback_arrival = self._rest_since = None
+        elif do == "refuse":
+            self._refuse(str(content.get("role")), str(content.get("reason", "")))
+        elif do == "transform":
+            self._tell_transform(content)
         elif do == "parameters":
             values = content.get("values")
             if not isinstance(values, dict):
@@ -120,10 +150,30 @@ class Session:
         else:
             raise IkControllerError(f"unknown event '{do}'; legal: {choices(EVENTS)}")
 
+    def _refuse(self, role: str, reason: str) -> None:
+        """Take nothing more from a role, for this reason; with an empty one take it again."""
+        if reason:
+            self._refused[role] = reason
+        else:
+            self._refused.pop(role, None)
+
+    def _tell_transform(self, content: dict[str, Any]) -> None:
+        frame, pose = str(content.get("frame")), content.get("pose")
+        try:
+            told = str(content.get("reason")) if pose is None else pose_from(pose, f"transform of '{frame}'")
+        except ModelError as error:
+            raise IkControllerError(f"event 'transform': {error}") from None
+        self._inputs.frames.tell(frame, told)
+
     def set_parameters(self, parameters: ControllerParameters) -> None:
         """Take new parameters between two cycles. Raises ParameterError; nothing changes then."""
-        self.controller.set_parameters(parameters)
+        model = with_tool(self.model, self.parameters, parameters)
+        self.controller.set_parameters(parameters, model)
         self.targets.set_parameters(parameters)
+        if model is not self.model:
+            self.model = model
+            self._inputs = Inputs(model, self.targets, parameters)
+        self._inputs.set_parameters(parameters)
         self.parameters = parameters
         self._set_times()
 
@@ -154,13 +204,26 @@ class Session:
             self.controller.reset(measured)
             self._running = True
         reference = None if self.paused or self._restarting else self.targets.reference(now, self.dt)
+        if reference is not None and reference.about is not None:
+            reference = self._about_tool(reference, reference.about)
         step = self.controller.step(measured, reference, self.dt)
+        self.goal.watch(now, self.targets, measured, self.model, self.parameters)
         if self.paused:
             step.status = step.status._replace(code=Code.PAUSED)
         if (self.paused or measured is None) and not step.velocity.any():
             self._running = False
         self.status = step.status
         return step
+
+    def _about_tool(self, reference: Reference, point: Array) -> Reference:
+        """Return a twist of the tool's body at a point as that of the tool point, at the middle of the cycle."""
+        assert reference.twist is not None and self.controller.position is not None  # noqa: PT018
+        at = self.controller.position
+        if self.parameters.integration_base == "measured" and self._measured is not None:
+            at = self._measured
+        lever = self.model.forward(at + 0.5 * self.dt * self.controller.velocity).translation - point
+        v, w = reference.twist[:3], reference.twist[3:]
+        return Reference(twist=np.concatenate((v + np.cross(w, lever), w)))
 
     def warm_up(self) -> None:
         """Go once through every kind of cycle in a scratch session: what compiles or is worked out on first use is done
@@ -205,6 +268,8 @@ class Session:
                 "feedback_arrival": self.feedback_arrival,
                 "controller": controller.state(),
                 "targets": self.targets.state(),
+                "goal": self.goal.state(),
+                "refused": self._refused,
             }
         )
 
@@ -219,5 +284,8 @@ class Session:
             self.feedback_arrival = content["feedback_arrival"]
             self.controller.restore(content["controller"])
             self.targets.restore(content["targets"])
+            # Not in the runs of version 0.1
+            self.goal.restore(content.get("goal", ["", False]))
+            self._refused = dict(content.get("refused", {}))
         except (KeyError, TypeError, ValueError) as error:
             raise IkControllerError(f"event 'state' is of another version of ik_controller: {error!r}") from None

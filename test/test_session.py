@@ -248,7 +248,10 @@ def test_parameters_change_between_cycles_without_a_jump(run):
 @pytest.mark.parametrize(
     ("event", "text"),
     [
-        ('{"do": "dance"}', "unknown event 'dance'; legal: pause, resume, reset, parameters, state"),
+        (
+            '{"do": "dance"}',
+            "unknown event 'dance'; legal: pause, resume, reset, clock, parameters, refuse, transform, state",
+        ),
         ("{}", "unknown event 'None'"),
         ("not JSON", "not an event"),
         ("[1]", "not an event"),

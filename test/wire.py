@@ -66,3 +66,28 @@ def joints(names: Sequence[str], position: Sequence[float], velocity: Sequence[f
     """A JointState."""
     arrays = [np.array(values, dtype=float) for values in (position, velocity, ())]
     return cdr.encode(cdr.message(cdr.JOINT_STATE, cdr.header(stamp, ""), list(names), *arrays))
+
+
+def joint_trajectory(
+    points: Sequence[tuple[float, Sequence[float], Sequence[float]]], names: Sequence[str], stamp: int = 0
+) -> bytes:
+    """A JointTrajectory of (time from start [s], positions, velocities)."""
+    made = []
+    for time, positions, velocities in points:
+        seconds, nanoseconds = divmod(round(time * 1e9), 10**9)
+        made.append(
+            cdr.message(
+                "trajectory_msgs/msg/JointTrajectoryPoint",
+                *[np.array(values, dtype=float) for values in (positions, velocities, (), ())],
+                cdr.message("builtin_interfaces/msg/Duration", seconds, nanoseconds),
+            )
+        )
+    return cdr.encode(cdr.message(cdr.JOINT_TRAJECTORY, cdr.header(stamp, ""), list(names), made))
+
+
+def joint_jog(
+    names: Sequence[str], velocities: Sequence[float], stamp: int = 0, displacements: Sequence[float] = ()
+) -> bytes:
+    """A JointJog."""
+    arrays = [np.array(values, dtype=float) for values in (displacements, velocities)]
+    return cdr.encode(cdr.message(cdr.JOINT_JOG, cdr.header(stamp, ""), list(names), *arrays, 0.0))

@@ -58,13 +58,17 @@ class Controller:
         self.parameters = ControllerParameters()
         self.set_parameters(parameters or self.parameters)
 
-    def set_parameters(self, parameters: ControllerParameters) -> None:
-        """Take new parameters between two cycles; the command goes on without a jump. Raises ParameterError."""
+    def set_parameters(self, parameters: ControllerParameters, model: RobotModel | None = None) -> None:
+        """Take new parameters between two cycles; the command goes on without a jump. Raises ParameterError; nothing
+        changes then. `model`: the same arm with another tool point.
+        """
+        model = model or self.model
         posture = parameters.posture
-        if posture and len(posture) != self.model.n:
-            names = choices(self.model.joint_names)
-            raise ParameterError(f"posture: {len(posture)} values, need {self.model.n}, one for each of {names}")
-        self._law = Law(self.model, parameters)
+        if posture and len(posture) != model.n:
+            names = choices(model.joint_names)
+            raise ParameterError(f"posture: {len(posture)} values, need {model.n}, one for each of {names}")
+        self._law = Law(model, parameters)
+        self.model = model
         self._limits = JointLimits(self.model, parameters.velocity_scale, parameters.acceleration_scale)
         self._checked_dt = 1.0 / parameters.rate
         self.parameters = parameters
@@ -130,14 +134,14 @@ class Controller:
         bounds = limits.bounds
         if base == "bounded" and q_measured is not None:
             bounds = limits.bounds_around(q_measured, self.parameters.max_deviation)
-        if reference is not None and reference.joints is None and q_measured is not None:
+        if reference is not None and not reference.in_joint_space and q_measured is not None:
             return self._follow_tool(reference, q_measured if base == "measured" else q, dt, bounds)
         limits.update(q, v, dt, bounds)
         if q_measured is None:
             return self._stop(dt, Code.NO_FEEDBACK)
-        if reference is None or reference.joints is None:
+        if reference is None or not reference.in_joint_space:
             return self._stop(dt, Code.HOLDING)
-        return self._follow_joints(reference.joints, reference, dt)
+        return self._follow_joints(self._q if reference.joints is None else reference.joints, reference, dt)
 
     # -- the three ways to move
 

@@ -49,6 +49,10 @@ class Law:
         gain = gain_matrix(parameters.gain, 1.0 / parameters.rate)
         rates = np.abs(np.linalg.eigvals(gain))
         self.slowest_gain = float(rates.min())
+        if parameters.integration_base == "measured":
+            # The loop runs through the arm's delay and lag T, and is stable for K T < 1 or so.
+            share = min(parameters.measured_gain / float(rates.max()), 1.0)
+            gain, rates = share * gain, share * rates
         self.feed_forward = parameters.feed_forward
         self.threshold = parameters.singular_value_threshold
         self.chain = solver_chain(model)

@@ -21,11 +21,12 @@ Array = NDArray[np.float64]
 
 
 class Reference(NamedTuple):
-    """A set point: a tool pose with its twist, a twist alone, or joint positions with their velocities.
+    """A set point: a tool pose with its twist, a twist alone, joint positions with their velocities, or these alone.
 
     `position` (3,) [m], `rotation` (3, 3), `twist` (6,) (v, ω) [m/s, rad/s] in the base frame; `joints` (n,) [rad or
     m],
-    `joint_velocity` (n,). Prefer the constructors `pose`, `velocity`, `between` and `joint`.
+    `joint_velocity` (n,); `about` (3,) [m]: the point of the tool's body that a twist alone is the velocity of, None
+    for the tool point. Prefer the constructors `pose`, `velocity`, `between` and `joint`.
     """
 
     position: Array | None = None
@@ -33,6 +34,12 @@ class Reference(NamedTuple):
     twist: Array | None = None
     joints: Array | None = None
     joint_velocity: Array | None = None
+    about: Array | None = None
+
+    @property
+    def in_joint_space(self) -> bool:
+        """Whether this is a set point of the joints."""
+        return self.joints is not None or self.joint_velocity is not None
 
     @classmethod
     def pose(cls, pose: Any, twist: ArrayLike | None = None) -> Reference:

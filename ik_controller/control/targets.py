@@ -2,8 +2,8 @@
 
 Samples are kept by their own time. At time τ (now, or now − delay when interpolating) the reference is, in this order:
 between two samples, a cubic of their poses and twists; after the last sample, its pose carried on by its twist and by
-the change of the last twists. A pose stream is live while samples *arrive*; a trajectory is live to its end and then
-holds its last point. The kind that arrived last is followed.
+the change of the last twists. A pose stream is live while samples *arrive*; a trajectory, of the tool or of joints, is
+live to its end and then holds its last point. The kind that arrived last is followed.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ik_controller.control.joint_path import JointPath
 from ik_controller.control.kernel import agreed_rate, carry_on
 from ik_controller.control.reference import Reference
 from ik_controller.control.segment import Segment
@@ -26,6 +27,7 @@ Array = NDArray[np.float64]
 _NO_CHANGE = np.zeros(6)
 _KEPT = 64  # samples of a stream; more only where the delay of interpolation reaches further back, up to
 _MOST = 4096
+_INSTANT = 1e-6  # [s] over which the twist at an instant of a trajectory is taken
 
 
 @dataclass
@@ -44,8 +46,9 @@ class Targets:
 
     def __init__(self, parameters: ControllerParameters) -> None:
         self._segment: tuple[_Sample, _Sample, Segment] | None = None  # the last one asked for
-        self.set_parameters(parameters)
+        self._mode = "auto"
         self.clear()
+        self.set_parameters(parameters)
 
     def set_parameters(self, parameters: ControllerParameters) -> None:
         """Take new parameters between two cycles."""
@@ -54,18 +57,39 @@ class Targets:
         interpolate = parameters.reference_mode == "interpolate"
         self._delay = int(parameters.reference_delay * 1e9) if interpolate else 0
         self._segment = None  # its slopes depend on the timeout
+        if parameters.mode != self._mode:
+            self._mode = parameters.mode
+            self._keep_only(parameters.mode)
 
     def clear(self) -> None:
         """Forget all targets."""
         self._samples: list[_Sample] = []
         self._times: list[int] = []
-        self._twists: list[tuple[int, int, Array]] = []  # (time, stamp, twist) in the order of arrival
+        # (time, stamp, twist, the point that it is the velocity of or None for the tool) in the order of arrival
+        self._twists: list[tuple[int, int, Array, Array | None]] = []
         self._acceleration: Array | None = None
         self._trajectory = False
-        self._joints: tuple[Array, Array] | None = None
+        self._take_over()
         self._pose_arrival = self._twist_arrival = self._joints_arrival = -(1 << 62)
         self._clock: dict[str, int] = {}
         self._segment = None
+
+    def _take_over(self) -> None:
+        """Forget the joint-space targets."""
+        self._joints: tuple[Array, Array] | None = None
+        self._jog: Array | None = None
+        self._path: JointPath | None = None
+
+    def _keep_only(self, mode: str) -> None:
+        """Forget what a mode does not follow."""
+        if mode in ("pose", "twist", "trajectory"):
+            self._joints = self._jog = None
+        if mode not in ("auto", "trajectory"):
+            self._path = None
+        if mode == ("pose" if self._trajectory else "trajectory") or mode in ("twist", "joints"):
+            self._restart()
+        if mode in ("trajectory", "joints"):
+            self._twists, self._acceleration = [], None
 
     # -- what arrives
 
@@ -74,28 +98,28 @@ class Targets:
         if self._trajectory or arrival - self._pose_arrival > self._timeout:
             self._restart()
         self._pose_arrival = arrival
-        self._joints = None
+        self._take_over()
         time = self._own_time("pose", stamp, arrival)
         stamp = stamp or arrival
-        twist = next((value for _, at, value in reversed(self._twists) if at == stamp), None)
+        twist = next((entry[2] for entry in reversed(self._twists) if entry[1] == stamp), None)
         self._insert(_Sample(time, stamp, position, rotation, twist))
         count = len(self._samples)
         if count > _MOST or (count > _KEPT and self._times[1] <= arrival - self._delay):
             del self._samples[0], self._times[0]
 
-    def add_twist(self, stamp: int, arrival: int, twist: Array) -> None:
+    def add_twist(self, stamp: int, arrival: int, twist: Array, point: Array | None = None) -> None:
         """Take one twist (6,) (v, ω) [m/s, rad/s], base frame: of the pose with the same stamp, or a velocity
-        command.
+        command, then of the tool's body at `point` (3,) [m], or of the tool point.
         """
         self._twist_arrival = arrival
-        self._joints = None
+        self._take_over()
         if self._trajectory:
             self._restart()
         time = self._own_time("twist", stamp, arrival)
         stamp = stamp or arrival
         if self._twists and self._twists[-1][1] == stamp:
             self._twists.pop()  # a repeated stamp: the later message counts
-        self._twists.append((time, stamp, twist))
+        self._twists.append((time, stamp, twist, point))
         del self._twists[:-_KEPT]
         self._acceleration = self._estimate_acceleration()
         for sample in reversed(self._samples[-_KEPT:]):
@@ -104,23 +128,84 @@ class Targets:
                 self._segment = None
                 break
 
-    def set_trajectory(self, arrival: int, points: list[tuple[int, Array, Array, Array | None]]) -> None:
-        """Replace all by timed poses (time [ns], position, rotation, twist or None), times rising."""
+    def set_trajectory(
+        self, arrival: int, points: list[tuple[int, Array, Array, Array | None]], start: int | None = None
+    ) -> None:
+        """Replace all by timed poses (time [ns], position, rotation, twist or None), times rising.
+
+        With `start` [ns], a trajectory that is followed goes on until then, and on from there to the first point.
+        """
+        kept: list[_Sample] = []
+        if start is not None and self._trajectory and self._samples:
+            begin = max(start, arrival)
+            inner = [i for i, time in enumerate(self._times) if arrival < time < begin]
+            kept = [self._sample_at(arrival)]
+            for i in inner:
+                sample = self._samples[i]
+                kept.append(_Sample(sample.time, sample.time, sample.position, sample.rotation, self._slope(i)))
+            if begin > arrival:
+                kept.append(self._sample_at(begin))
+            kept = [sample for sample in kept if sample.time < points[0][0]]
         self._restart()
         self._trajectory = True
-        self._joints = None
+        self._take_over()
         self._pose_arrival = arrival
+        for sample in kept:
+            self._insert(sample)
         for time, position, rotation, twist in points:
             self._insert(_Sample(time, time, position, rotation, twist))
-        for end in (0, -1):
-            if self._samples[end].twist is None:
-                self._samples[end].twist = np.zeros(6)
 
     def set_joints(self, arrival: int, position: Array, velocity: Array) -> None:
         """Take a joint-space target: position (n,), velocity (n,)."""
         self._restart()
+        self._take_over()
         self._joints_arrival = arrival
         self._joints = position, velocity
+
+    def set_jog(self, arrival: int, velocity: Array) -> None:
+        """Take joint velocities (n,) [rad/s, m/s]."""
+        self._restart()
+        self._take_over()
+        self._joints_arrival = arrival
+        self._jog = velocity
+
+    def set_path(
+        self, arrival: int, times: list[int], positions: Array, velocities: Array, start: int | None = None
+    ) -> None:
+        """Replace all by timed joint positions; see `JointPath`, and `set_trajectory` for `start`."""
+        old, begin = self._path, max(start or 0, arrival)
+        if start is not None and old is not None:
+            kept_times, kept_positions, kept_velocities = old.before(begin)
+            count = sum(time <= arrival for time in kept_times)
+            heads = [time for time in dict.fromkeys((arrival, begin)) if time < times[0]]
+            mid = [i for i in range(count, len(kept_times)) if kept_times[i] < times[0]]
+            rows = [(time, *old.over(time, _INSTANT)) for time in heads]
+            rows += [(kept_times[i], kept_positions[i], kept_velocities[i]) for i in mid]
+            rows.sort(key=lambda row: row[0])
+            times = [row[0] for row in rows] + times
+            positions = np.vstack([row[1] for row in rows] + [positions])
+            velocities = np.vstack([row[2] for row in rows] + [velocities])
+        self._restart()
+        self._take_over()
+        self._joints_arrival = arrival
+        self._path = JointPath(times, positions, velocities)
+
+    def trajectory_end(self) -> tuple[int, tuple[Array, Array] | Array] | None:
+        """Return when the trajectory that is followed ends [ns], and where: (position (3,), rotation (3, 3)) or joints
+        (n,).
+        """
+        if self._path is not None:
+            return self._path.times[-1], self._path.positions[-1]
+        if self._trajectory and self._samples:
+            last = self._samples[-1]
+            return last.time, (last.position, last.rotation)
+        return None
+
+    def _sample_at(self, time: int) -> _Sample:
+        """Return the trajectory's pose and twist at `time` [ns] as a sample."""
+        reference = self._pose_reference(time, _INSTANT)
+        assert reference.position is not None and reference.rotation is not None  # noqa: PT018 (it has a pose)
+        return _Sample(time, time, reference.position, reference.rotation, reference.twist)
 
     def _restart(self) -> None:
         self._samples, self._times, self._trajectory, self._segment = [], [], False, None
@@ -160,9 +245,14 @@ class Targets:
                 )
                 for s in self._samples
             ],
-            "twists": [(time, stamp, twist.tolist()) for time, stamp, twist in self._twists],
+            "twists": [
+                (time, stamp, twist.tolist(), None if point is None else point.tolist())
+                for time, stamp, twist, point in self._twists
+            ],
             "trajectory": self._trajectory,
             "joints": None if self._joints is None else [values.tolist() for values in self._joints],
+            "jog": None if self._jog is None else self._jog.tolist(),
+            "path": None if self._path is None else self._path.state(),
             "arrivals": (self._pose_arrival, self._twist_arrival, self._joints_arrival),
             "clock": self._clock,
         }
@@ -173,11 +263,16 @@ class Targets:
         for time, stamp, position, rotation, twist in state["samples"]:
             rate = None if twist is None else np.array(twist)
             self._insert(_Sample(time, stamp, np.array(position), np.array(rotation), rate))
-        self._twists = [(time, stamp, np.array(twist)) for time, stamp, twist in state["twists"]]
+        self._twists = [
+            (time, stamp, np.array(twist), np.array(point[0]) if point and point[0] is not None else None)
+            for time, stamp, twist, *point in state["twists"]  # runs of version 0.1 have no point
+        ]
         self._acceleration = self._estimate_acceleration()
         self._trajectory = bool(state["trajectory"])
         joints = state["joints"]
         self._joints = None if joints is None else (np.array(joints[0]), np.array(joints[1]))
+        self._jog = None if state.get("jog") is None else np.array(state["jog"])
+        self._path = None if state.get("path") is None else JointPath.of(state["path"])
         self._pose_arrival, self._twist_arrival, self._joints_arrival = state["arrivals"]
         self._clock = dict(state["clock"])
 
@@ -190,13 +285,19 @@ class Targets:
 
     def reference(self, now: int, dt: float) -> Reference | None:
         """Return the reference for the cycle from `now` [ns] to now + dt [s]; None where no target is live."""
-        if self._joints is not None:
-            live = now - self._joints_arrival <= self._timeout
-            return Reference(joints=self._joints[0], joint_velocity=self._joints[1]) if live else None
+        if self._path is not None:
+            joints, velocity = self._path.over(now, dt)
+            return Reference(joints=joints, joint_velocity=velocity)
+        if self._joints is not None or self._jog is not None:
+            if now - self._joints_arrival > self._timeout:
+                return None
+            if self._joints is None:
+                return Reference(joint_velocity=self._jog)
+            return Reference(joints=self._joints[0], joint_velocity=self._joints[1])
         if self._samples and (self._trajectory or now - self._pose_arrival <= self._timeout):
             return self._pose_reference(now - self._delay if not self._trajectory else now, dt)
-        if self._twists and now - self._twist_arrival <= self._timeout:
-            return Reference(twist=self._twists[-1][2])
+        if self._twists and now - self._twist_arrival <= self._timeout and self._mode != "pose":
+            return Reference(twist=self._twists[-1][2], about=self._twists[-1][3])
         return None
 
     def _pose_reference(self, time: int, dt: float) -> Reference:
@@ -231,7 +332,7 @@ class Targets:
         if len(self._twists) < 3:
             return None
         last = sorted(self._twists[-6:], key=lambda entry: entry[0])  # some may have overtaken others
-        (t0, _, v0), (t1, _, v1), (t2, _, v2) = last[-3:]
+        (t0, _, v0, _), (t1, _, v1, _), (t2, _, v2, _) = last[-3:]
         if not (t0 < t1 < t2 and t2 - t0 <= self._timeout):
             return None
         rate: Array = agreed_rate(v0, v1, v2, 1e-9 * (t1 - t0), 1e-9 * (t2 - t1))
@@ -258,6 +359,8 @@ class Targets:
         sample = self._samples[index]
         if sample.twist is not None:
             return sample.twist
+        if self._trajectory and index in (0, len(self._samples) - 1):
+            return np.zeros(6)
         slopes, gaps = [], []
         for other in (index - 1, index + 1):
             if 0 <= other < len(self._samples):

@@ -7,6 +7,7 @@ q is a flat (n,) vector: continuous joints count turns as angles without limits,
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -237,6 +238,16 @@ class RobotModel:
         """Place the tool point in the tip frame: (7,) x y z [m] qx qy qz qw. Raises ModelError if it is not a pose."""
         self.tool_offset = pose_from(offset, "tool_offset")
         self.pin_model.frames[self.tool_id].placement = self._tip_placement * self.tool_offset
+
+    def with_tool_offset(self, offset: ArrayLike) -> RobotModel:
+        """Return a copy with another tool point; arguments and errors as `set_tool_offset`. This model is left as it
+        is.
+        """
+        other = copy.copy(self)
+        other.pin_model = pin.Model(self.pin_model)
+        other._data = other.pin_model.createData()
+        other.set_tool_offset(offset)
+        return other
 
     # -- asking
 

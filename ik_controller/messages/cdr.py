@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ik_controller.errors import MessageError, choices
 
@@ -26,8 +26,18 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 POSE = "geometry_msgs/msg/PoseStamped"
 TWIST = "geometry_msgs/msg/TwistStamped"
 TRAJECTORY = "trajectory_msgs/msg/MultiDOFJointTrajectory"
+JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
+JOINT_JOG = "control_msgs/msg/JointJog"
 STRING = "std_msgs/msg/String"
 CYCLE = "std_msgs/msg/Int64MultiArray"
+
+# Types beside those of ROS 2's common packages: name → definition.
+EXTRA_TYPES = {
+    JOINT_JOG: "std_msgs/Header header\nstring[] joint_names\nfloat64[] displacements\nfloat64[] velocities\n"
+    "float64 duration\n",
+}
+for _name, _text in EXTRA_TYPES.items():
+    STORE.register(get_types_from_msg(_text, _name))
 
 _SECOND = 1_000_000_000
 _STAMP = struct.Struct("<iI")
@@ -76,6 +86,16 @@ def twist_message(stamp: int, frame: str, twist: Array) -> bytes:
     linear = message("geometry_msgs/msg/Vector3", *twist[:3].tolist())
     angular = message("geometry_msgs/msg/Vector3", *twist[3:].tolist())
     return encode(message(TWIST, header(stamp, frame), message("geometry_msgs/msg/Twist", linear, angular)))
+
+
+def frame_of(data: bytes) -> str:
+    """Return the frame in the header that begins a message's bytes, "" where there is none or it cannot be read."""
+    order = "<I" if data[1:2] == b"\1" else ">I"
+    try:
+        (length,) = struct.unpack_from(order, data, 12)
+        return data[16 : 15 + length].decode()
+    except (struct.error, UnicodeDecodeError):
+        return ""
 
 
 def stamp_of(stamped: Any) -> int:

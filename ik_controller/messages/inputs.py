@@ -1,7 +1,7 @@
 """Inputs: from messages to targets in the base frame. What cannot be used is rejected in one clear line.
 
 Target frames may be any link of the robot model: links fixed to the base by their constant placement, links of the
-chain by forward kinematics at the commanded joints at the moment of arrival.
+chain by forward kinematics at the commanded joints at the moment of arrival; others by TF, see `Frames`.
 """
 
 from __future__ import annotations
@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 
 from ik_controller.control.targets import Targets
 from ik_controller.errors import MessageError, choices
-from ik_controller.kinematics.model import RobotModel, frame_pose
+from ik_controller.kinematics.model import RobotModel
 from ik_controller.messages import cdr
+from ik_controller.messages.frames import Frames
+from ik_controller.parameters import ControllerParameters
 
 Array = NDArray[np.float64]
 
@@ -27,112 +29,176 @@ INPUTS = {
     "target_twist": cdr.TWIST,
     "target_trajectory": cdr.TRAJECTORY,
     "target_joints": cdr.JOINT_STATE,
+    "target_joint_trajectory": cdr.JOINT_TRAJECTORY,
+    "target_joint_jog": cdr.JOINT_JOG,
 }
+
+# Mode → roles that it follows; `auto` follows all.
+FOLLOWED = {
+    "pose": ("target_pose", "target_twist"),
+    "twist": ("target_twist",),
+    "trajectory": ("target_trajectory", "target_joint_trajectory"),
+    "joints": ("target_joints", "target_joint_jog"),
+}
+# Roles whose messages say in which frame they are.
+FRAMED = ("target_pose", "target_twist", "target_trajectory")
 
 _QUATERNION_TOLERANCE = 1e-3
 
 
-class Frames:
-    """Placements of the model's links in its base frame."""
-
-    def __init__(self, model: RobotModel) -> None:
-        self._model = model
-        self._data: Any = model.pin_model.createData()
-        self._ids = {f.name: i for i, f in enumerate(model.pin_model.frames) if f.type == pin.FrameType.BODY}
-        self._fixed = {
-            name: pin.SE3(model.pin_model.frames[i].placement)
-            for name, i in self._ids.items()
-            if model.pin_model.frames[i].parentJoint == 0
-        }
-        self.base = self._fixed[model.base_frame] = pin.SE3.Identity()
-
-    def placement(self, name: str, q: Array | None) -> Any:
-        """Return the link's `pin.SE3` in the base frame at q (n,). Raises MessageError: empty or unknown frame, no
-        q.
-        """
-        placement = self._fixed.get(name)
-        if placement is not None:
-            return placement
-        frame = self._ids.get(name)
-        if frame is None:
-            given = "is empty" if not name else f"'{name}' is unknown"
-            raise MessageError(f"frame_id {given}; legal: {choices(sorted({*self._ids, self._model.base_frame}))}")
-        if q is None:
-            raise MessageError(f"frame_id '{name}' moves with the arm, and no joint state has come yet")
-        return frame_pose(self._model, self._data, q, frame)
-
-
 class Inputs:
-    """Puts target messages into `Targets`; `q` in the calls is the commanded position, None before the first."""
+    """Puts target messages into `Targets`; q, v (n,) in the calls are the commanded state, None before the first.
 
-    def __init__(self, model: RobotModel, targets: Targets) -> None:
-        self._frames = Frames(model)
-        self._tip = model.tip_frame
+    `frames`: where TF's transforms are told.
+    """
+
+    def __init__(self, model: RobotModel, targets: Targets, parameters: ControllerParameters) -> None:
+        self.frames = Frames(model)
+        self._model = model
         self._joints = cdr.JointStateReader(model.joint_names)
         self._poses = cdr.StampedReader(cdr.POSE, 7)
         self._twists = cdr.StampedReader(cdr.TWIST, 6)
         self._names = model.joint_names
         self._targets = targets
+        self.set_parameters(parameters)
 
-    def take(self, role: str, data: bytes, arrival: int, q: Array | None) -> None:
+    def set_parameters(self, parameters: ControllerParameters) -> None:
+        """Take new parameters between two cycles."""
+        self._mode = parameters.mode
+        self._followed = FOLLOWED.get(parameters.mode)
+        self._unitless = parameters.twist_unit == "unitless"
+        self._scale = np.repeat((parameters.linear_scale, parameters.angular_scale), 3)
+        self._joint_scale = parameters.joint_scale
+        self._about_frame = parameters.twist_reference_point == "frame"
+        self._append = parameters.trajectory_mode == "append"
+
+    def take(self, role: str, data: bytes, arrival: int, q: Array | None, v: Array) -> None:
         """Take one target message of `role` (a key of INPUTS but joint_states). Raises MessageError; takes nothing
         then.
         """
-        getattr(self, "_" + role)(data, arrival, q)
+        if self._followed is not None and role not in self._followed:
+            raise MessageError(f"not followed in mode '{self._mode}', which takes: {choices(self._followed)}")
+        getattr(self, "_" + role)(data, arrival, q, v)
 
-    def _target_pose(self, data: bytes, arrival: int, q: Array | None) -> None:
+    def _target_pose(self, data: bytes, arrival: int, q: Array | None, v: Array) -> None:
         stamp, frame, numbers = self._poses.read(data)
-        placement = self._frames.placement(frame, q)
+        placement = self.frames.placement(frame, q)
         pose = _pose(numbers.copy())
-        if placement is not self._frames.base:
+        if placement is not self.frames.base:
             pose = placement * pose
         self._targets.add_pose(stamp, arrival, pose.translation.copy(), pose.rotation.copy())
 
-    def _target_twist(self, data: bytes, arrival: int, q: Array | None) -> None:
+    def _target_twist(self, data: bytes, arrival: int, q: Array | None, v: Array) -> None:
         stamp, frame, numbers = self._twists.read(data)
-        self._targets.add_twist(stamp, arrival, self._twist(numbers, self._frames.placement(frame, q)))
+        placement = self.frames.placement(frame, q)
+        twist = self._twist(numbers, placement)
+        if self._unitless:
+            largest = float(np.abs(numbers).max())
+            if largest > 1.0:
+                raise MessageError(f"twist {numbers.tolist()}: need −1 to 1, twist_unit is unitless")
+            twist = self._twist(self._scale * numbers, placement)
+        point = placement.translation.copy() if self._about_frame else None
+        self._targets.add_twist(stamp, arrival, twist, point)
 
     def _twist(self, numbers: Array, placement: Any) -> Array:
         if not math.isfinite(numbers.dot(numbers)):  # or so large that it might as well be
             raise MessageError(f"twist {numbers.tolist()}: values must be finite")
-        if placement is self._frames.base:
+        if placement is self.frames.base:
             return numbers
         rotation = placement.rotation
         return np.concatenate((rotation @ numbers[:3], rotation @ numbers[3:]))
 
-    def _target_trajectory(self, data: bytes, arrival: int, q: Array | None) -> None:
+    def _target_trajectory(self, data: bytes, arrival: int, q: Array | None, v: Array) -> None:
         content = cdr.decode(cdr.TRAJECTORY, data)
-        names = list(content.joint_names)
-        if names not in ([], [self._tip]):
-            raise MessageError(f"joint_names {names}: need none, or the tip frame '{self._tip}'")
-        if not content.points:
-            raise MessageError("the trajectory has no points")
-        frame = self._frames.placement(content.header.frame_id, q)
-        start = cdr.stamp_of(content) or arrival
+        names, tip = list(content.joint_names), self._model.tip_frame
+        if names not in ([], [tip]):
+            raise MessageError(f"joint_names {names}: need none, or the tip frame '{tip}'")
+        start, times = self._schedule(content, arrival)
+        frame = self.frames.placement(content.header.frame_id, q)
         points: list[tuple[int, Array, Array, Array | None]] = []
         for index, point in enumerate(content.points):
             if len(point.transforms) != 1:
                 raise MessageError(f"point {index} has {len(point.transforms)} transforms, need 1")
             if len(point.velocities) > 1:
                 raise MessageError(f"point {index} has {len(point.velocities)} velocities, need 1 or none")
-            duration = point.time_from_start
-            time = start + int(duration.sec) * 1_000_000_000 + int(duration.nanosec)
-            if points and time <= points[-1][0]:
-                raise MessageError(f"point {index}: time_from_start must rise from point to point")
             transform = point.transforms[0]
             p, r = transform.translation, transform.rotation
             placement = frame * _pose(np.array((p.x, p.y, p.z, r.x, r.y, r.z, r.w)))
             twist = None
             if point.velocities:
-                v, w = point.velocities[0].linear, point.velocities[0].angular
-                twist = self._twist(np.array((v.x, v.y, v.z, w.x, w.y, w.z)), frame)
-            points.append((time, placement.translation.copy(), placement.rotation.copy(), twist))
-        if points[-1][0] <= arrival:
-            late = (arrival - points[-1][0]) * 1e-9
-            raise MessageError(f"the trajectory ended {late:.1f} s ago by its stamp; stamp 0 starts it on arrival")
-        self._targets.set_trajectory(arrival, points)
+                linear, angular = point.velocities[0].linear, point.velocities[0].angular
+                numbers = np.array((linear.x, linear.y, linear.z, angular.x, angular.y, angular.z))
+                twist = self._twist(numbers, frame)
+            points.append((times[index], placement.translation.copy(), placement.rotation.copy(), twist))
+        begin = max(start, arrival)
+        splice = self._splice(start)
+        if splice is None and q is not None and start < times[0] and begin < times[0]:
+            # Its first point is to be reached by then, from here.
+            tool = self._model.forward(q)
+            here = tool.translation.copy(), tool.rotation.copy()
+            points.insert(0, (begin, *here, self._model.jacobian(q) @ v))
+        self._targets.set_trajectory(arrival, points, splice)
 
-    def _target_joints(self, data: bytes, arrival: int, q: Array | None) -> None:
+    def _target_joint_trajectory(self, data: bytes, arrival: int, q: Array | None, v: Array) -> None:
+        content = cdr.decode(cdr.JOINT_TRAJECTORY, data)
+        order = self._order(list(content.joint_names))
+        start, times = self._schedule(content, arrival)
+        positions, velocities = np.empty((2, len(times), len(order)))
+        for index, point in enumerate(content.points):
+            for field, rows in (("positions", positions), ("velocities", velocities)):
+                given = getattr(point, field)
+                if len(given) == 0 and field == "velocities":
+                    rows[index] = np.nan  # to be filled from the neighbours
+                    continue
+                if len(given) != len(content.joint_names):
+                    need = f"need {len(content.joint_names)}, one for each of joint_names"
+                    raise MessageError(f"point {index} has {len(given)} {field}, {need}")
+                rows[index] = np.asarray(given)[order]
+                if not np.isfinite(rows[index]).all():
+                    raise MessageError(f"point {index}: {field} must be finite")
+        begin = max(start, arrival)
+        splice = self._splice(start)
+        if splice is None and start < times[0] and begin < times[0]:
+            if q is None:
+                raise MessageError("the way to the first point begins where the arm is: no joint state has come yet")
+            times.insert(0, begin)
+            positions, velocities = np.vstack((q, positions)), np.vstack((v, velocities))
+        self._targets.set_path(arrival, times, positions, velocities, splice)
+
+    def _schedule(self, content: Any, arrival: int) -> tuple[int, list[int]]:
+        """Return a trajectory's start and the times of its points [ns]."""
+        if not content.points:
+            raise MessageError("the trajectory has no points")
+        start = cdr.stamp_of(content) or arrival
+        if self._append and not cdr.stamp_of(content):
+            end = self._targets.trajectory_end()
+            start = arrival if end is None else max(end[0], arrival)
+        times: list[int] = []
+        for index, point in enumerate(content.points):
+            time = start + int(point.time_from_start.sec) * 1_000_000_000 + int(point.time_from_start.nanosec)
+            if times and time <= times[-1]:
+                raise MessageError(f"point {index}: time_from_start must rise from point to point")
+            times.append(time)
+        if times[-1] < arrival or (times[-1] == arrival and len(times) > 1):
+            late = (arrival - times[-1]) * 1e-9
+            raise MessageError(f"the trajectory ended {late:.1f} s ago by its stamp; stamp 0 starts it on arrival")
+        return start, times
+
+    def _splice(self, start: int) -> int | None:
+        """Return until when the trajectory that is followed goes on, None where it does not."""
+        return start if self._append and self._targets.trajectory_end() is not None else None
+
+    def _order(self, names: list[str]) -> list[int]:
+        """Return where our joints are among `names`."""
+        missing = [name for name in self._names if name not in names]
+        if missing:
+            raise MessageError(f"joint(s) missing: {choices(missing)}; the message has: {choices(names)}")
+        doubled = sorted({name for name in self._names if names.count(name) > 1})
+        if doubled:
+            raise MessageError(f"joint(s) named twice: {choices(doubled)}")
+        return [names.index(name) for name in self._names]
+
+    def _target_joints(self, data: bytes, arrival: int, q: Array | None, v: Array) -> None:
         content = cdr.decode(cdr.JOINT_STATE, data)
         position = self._joints.read(data)
         if position is None:
@@ -144,6 +210,30 @@ class Inputs:
             if not np.isfinite(velocity).all():
                 raise MessageError("a velocity is not finite")
         self._targets.set_joints(arrival, position.copy(), velocity)
+
+    def _target_joint_jog(self, data: bytes, arrival: int, q: Array | None, v: Array) -> None:
+        content = cdr.decode(cdr.JOINT_JOG, data)
+        names = list(content.joint_names)
+        unknown = [name for name in names if name not in self._names]
+        if not names or unknown:
+            raise MessageError(f"no joint(s) of the arm: {choices(unknown)}; there are: {choices(self._names)}")
+        if len(set(names)) < len(names):
+            raise MessageError(f"joint(s) named twice: {choices(sorted({n for n in names if names.count(n) > 1}))}")
+        if len(content.displacements):
+            raise MessageError("displacements are not followed: send velocities, or ~/target_joints")
+        given = np.asarray(content.velocities, dtype=float)
+        if given.size != len(names):
+            raise MessageError(f"{given.size} values in velocities for {len(names)} names")
+        if not np.isfinite(given).all():
+            raise MessageError("a velocity is not finite")
+        if self._unitless:
+            if float(np.abs(given).max()) > 1.0:
+                raise MessageError(f"velocities {given.tolist()}: need −1 to 1, twist_unit is unitless")
+            given = self._joint_scale * given
+        velocity = np.zeros(len(self._names))
+        for name, value in zip(names, given.tolist(), strict=True):
+            velocity[self._names.index(name)] = value
+        self._targets.set_jog(arrival, velocity)
 
 
 def _pose(values: Array) -> Any:

@@ -11,10 +11,11 @@ import re
 from functools import cache, lru_cache
 from typing import NamedTuple
 
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from ik_controller.errors import BagError, choices
+from ik_controller.messages.cdr import EXTRA_TYPES
 
 ENCODING = "ros2msg"
 """Schema encoding of MCAP for the text made here: root definition, then each dependency under a line of 80 `=`."""
@@ -41,7 +42,10 @@ class MessageSchema(NamedTuple):
 @lru_cache(maxsize=1)
 def typestore() -> Typestore:
     """Return the message types of ROS 2 Jazzy; also encodes and decodes their messages (CDR)."""
-    return get_typestore(Stores.ROS2_JAZZY)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for name, text in EXTRA_TYPES.items():
+        store.register(get_types_from_msg(text, name))
+    return store
 
 
 @cache

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
-from trajectory_msgs.msg import MultiDOFJointTrajectory
+from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
 from ik_controller.ros.polling import PolledGroup, PolledSubscription
 
@@ -31,6 +31,7 @@ INPUTS = {
     "target_twist": Input(TwistStamped, "~/target_twist", 100, False),
     "target_trajectory": Input(MultiDOFJointTrajectory, "~/target_trajectory", 10, True),
     "target_joints": Input(JointState, "~/target_joints", 100, False),
+    "target_joint_trajectory": Input(JointTrajectory, "~/target_joint_trajectory", 10, True),
 }
 
 

@@ -49,13 +49,14 @@ class Telling:
     """Writes ~/current_pose and ~/tracking_error of a model's arm."""
 
     def __init__(self, model: RobotModel) -> None:
-        self._model = model
         self._pose = cdr.StampedWriter(cdr.pose_message(0, model.base_frame, pin.SE3.Identity()), 7)
         self._error = cdr.StampedWriter(cdr.twist_message(0, model.base_frame, np.zeros(6)), 6)
 
-    def pose(self, now: int, q: NDArray[np.float64] | None) -> bytes | None:
-        """Return the tool's pose at the measured joints (n,), None before the first joint state."""
-        return None if q is None else self._pose.write(now, pin.SE3ToXYZQUAT(self._model.forward(q)))
+    def pose(self, now: int, model: RobotModel, q: NDArray[np.float64] | None) -> bytes | None:
+        """Return the tool's pose at the measured joints (n,), None before the first joint state; `model`: as it is now,
+        for the tool may have been changed.
+        """
+        return None if q is None else self._pose.write(now, pin.SE3ToXYZQUAT(model.forward(q)))
 
     def error(self, now: int, error: NDArray[np.float64]) -> bytes:
         """Return reference minus tool (6,): position [m] and rotation vector [rad], in the base frame."""

@@ -29,7 +29,7 @@ from ik_controller.errors import IkControllerError, ParameterError
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.kinematics.urdf import same_arm
 from ik_controller.parameters import specs
-from ik_controller.robots import build_model, urdf_text
+from ik_controller.robots import build_model, urdf_text, with_tool
 from ik_controller.ros import monitor
 from ik_controller.ros.outputs import Outputs, StatusOutput
 from ik_controller.ros.parameters import declare, on_change
@@ -259,7 +259,9 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
             for spec in specs():
                 if spec.read_only and getattr(changed, spec.name) != getattr(self.parameters, spec.name):
                     raise ParameterError(f"{spec.name} is read-only while the node is {self.state}: clean it up first")
-            Controller(self.model, changed)  # refuses what does not fit the model
+            model = with_tool(self.model, self.parameters, changed)
+            Controller(model, changed)  # refuses what does not fit the model
+            self.model = model
         if self.runner is not None:
             if values.get("record"):
                 self.runner.record(changed)

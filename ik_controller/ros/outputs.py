@@ -41,7 +41,7 @@ class Outputs:
     def tell(self, now: int, session: Session, step: Step | None) -> list[tuple[str, bytes]]:
         """Send tool pose and tracking error; return roles and bytes."""
         sent = []
-        pose = self._telling.pose(now, session.measured)
+        pose = self._telling.pose(now, session.model, session.measured)
         if pose is not None:
             self._pose.publish(pose)
             sent.append(("current_pose", pose))

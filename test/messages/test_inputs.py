@@ -30,10 +30,10 @@ class Taking:
 
     def __init__(self, robot):
         self.robot, self.targets = robot, Targets(ControllerParameters())
-        self.inputs = Inputs(robot.model, self.targets)
+        self.inputs = Inputs(robot.model, self.targets, ControllerParameters())
 
     def take(self, role, data, q="home"):
-        self.inputs.take(role, data, NOW, self.robot.home if isinstance(q, str) else q)
+        self.inputs.take(role, data, NOW, self.robot.home if isinstance(q, str) else q, np.zeros(7))
 
     def reference(self):
         return self.targets.reference(NOW, 1e-3)
@@ -73,6 +73,11 @@ def test_a_moving_frame_needs_a_joint_state_first(inputs, panda):
         inputs.take("target_pose", wire.pose(POSE, panda.model.tip_frame), None)
     inputs.take("target_pose", wire.pose(POSE, BASE), None)
     assert inputs.reference() is not None
+
+
+def test_a_way_to_the_first_point_needs_a_joint_state_first(inputs):
+    with pytest.raises(MessageError, match="no joint state has come yet"):
+        inputs.take("target_joint_trajectory", wire.joint_trajectory([(1, [0] * 7, [])], SEVEN), None)
 
 
 def test_a_trajectory_is_placed_in_its_frame_and_time(inputs):
@@ -131,6 +136,30 @@ BAD = {
     "joint velocity NaN": ("target_joints", wire.joints(SEVEN, [0] * 7, [NAN] * 7), "velocity is not finite"),
     "wrong lengths": ("target_joints", wire.joints(SEVEN, [0] * 6), "6 values in position for 7 names"),
     "wrong velocities": ("target_joints", wire.joints(SEVEN, [0] * 7, [0] * 6), "6 values in velocity for 7 names"),
+    "trajectory of the past": (
+        "target_trajectory", wire.trajectory([(1, [POSE], [])], BASE, NOW - 3 * 10**9), "ended 2.0 s ago"),
+    "path: no points": ("target_joint_trajectory", wire.joint_trajectory([], SEVEN), "the trajectory has no points"),
+    "path: joint missing": (
+        "target_joint_trajectory", wire.joint_trajectory([(1, [0] * 6, [])], SEVEN[:6]), "missing: panda_joint7"),
+    "path: joint doubled": (
+        "target_joint_trajectory", wire.joint_trajectory([(1, [0] * 8, [])], [*SEVEN, SEVEN[0]]), "named twice"),
+    "path: positions missing": (
+        "target_joint_trajectory", wire.joint_trajectory([(1, [], [0] * 7)], SEVEN), "point 0 has 0 positions, need 7"),
+    "path: velocities missing": (
+        "target_joint_trajectory", wire.joint_trajectory([(1, [0] * 7, [0])], SEVEN), "point 0 has 1 velocities"),
+    "path: NaN": (
+        "target_joint_trajectory", wire.joint_trajectory([(1, [0] * 7, []), (2, [NAN] * 7, [])], SEVEN),
+        "point 1: positions must be finite"),
+    "path: times that fall": (
+        "target_joint_trajectory", wire.joint_trajectory([(1, [0] * 7, [])] * 2, SEVEN), "point 1: time_from_start"),
+    "path of the past": (
+        "target_joint_trajectory", wire.joint_trajectory([(1, [0] * 7, [])], SEVEN, NOW - 2 * 10**9), "ended 1.0 s"),
+    "jog: unknown joint": ("target_joint_jog", wire.joint_jog(["lift"], [0.1]), "no joint(s) of the arm: lift"),
+    "jog: no joint": ("target_joint_jog", wire.joint_jog([], []), "no joint(s) of the arm"),
+    "jog: doubled": ("target_joint_jog", wire.joint_jog(SEVEN[:1] * 2, [0.1] * 2), "named twice: panda_joint1"),
+    "jog: displacements": ("target_joint_jog", wire.joint_jog(SEVEN[:1], [], 0, [0.1]), "displacements"),
+    "jog: wrong length": ("target_joint_jog", wire.joint_jog(SEVEN[:2], [0.1]), "1 values in velocities for 2 names"),
+    "jog: NaN": ("target_joint_jog", wire.joint_jog(SEVEN[:1], [NAN]), "a velocity is not finite"),
     "another type": ("target_pose", wire.joints(SEVEN, [0] * 7), "not a geometry_msgs/msg/PoseStamped"),
     "cut off": ("target_twist", wire.twist(ZERO, BASE)[:-5], "not a geometry_msgs/msg/TwistStamped"),
     "nothing": ("target_trajectory", b"", "not a trajectory_msgs"),
@@ -154,6 +183,8 @@ GOOD = {
     "target_twist": wire.twist([0.1, 0, 0, 0, 0.3, 0], BASE, NOW),
     "target_trajectory": wire.trajectory([(0, [POSE], []), (1, [POSE], [ZERO])], BASE, NOW),
     "target_joints": wire.joints(SEVEN, [0.1] * 7, [0.2] * 7, NOW),
+    "target_joint_trajectory": wire.joint_trajectory([(0.5, [0.1] * 7, [])], SEVEN, NOW),
+    "target_joint_jog": wire.joint_jog(SEVEN[:2], [0.1, 0.2], NOW),
 }
 
 

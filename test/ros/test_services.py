@@ -169,7 +169,8 @@ def test_a_changed_parameter_acts_is_recorded_and_replays_bit_identically(live: 
         ({"posture": [0.0, 0.0]}, "posture"),
         ({"rate": 500.0}, "read-only"),
         ({"robot": "ur5e"}, "read-only"),
-        ({"tool_offset": [0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0]}, "read-only"),
+        ({"tool_offset": [0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 2.0]}, "quaternion"),
+        ({"mode": "both"}, "trajectory"),
         ({"no_such_parameter": 1.0}, "undeclared"),  # rclpy's own answer
     ],
 )
