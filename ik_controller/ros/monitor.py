@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 from ik_controller.control.status import Code
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.messages import cdr
-from ik_controller.recording.writer import WriterStatus
 from ik_controller.ros.loop import Loop
+from ik_controller.ros.reasons import REASONS, level_of, of_status
+from ik_controller.ros.recorder import Recorder
 from ik_controller.session import Session
 
 DIAGNOSTIC_STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
 DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 
-OK, WARN, ERROR, STALE = range(4)  # of diagnostic_msgs/DiagnosticStatus
+_RECENT = 1_000_000_000  # [ns] that a rejected message stays in the sentence
 _WINDOW = 1000  # cycles that the period's percentiles are taken over
 
 
@@ -78,51 +79,86 @@ class Account:
         return cdr.message(DIAGNOSTIC_STATUS, self.level, name, self.sentence, self.hardware, pairs)
 
 
-def at_rest(state: str, reason: str, hardware: str, description: str = "") -> Account:
-    """Return the account of a node that is not active: its lifecycle state and what it waits for."""
-    level = WARN if state == "inactive" else STALE
-    values = {"state": state, "recorder": "off"}
-    if description:
-        values["last_rejected"] = description
-    return Account(level, f"{state}: {reason}", hardware, values)
+def idle(state: str, why: str, hardware: str) -> Account:
+    """Return the account of a node in a lifecycle state other than active, and why it is in it."""
+    return Account(REASONS[state].level, f"{state}: {why}", hardware, {"state": state, "reasons": state})
 
 
-def running(session: Session, now: int, timing: Timing, loop: Loop, recorder: WriterStatus | None) -> Account:
-    """Return the account of an active node."""
-    state = session.status
-    names = session.model.joint_names
-    age = session.targets.age(now)
-    feedback = session.feedback_arrival
-    median, high = timing.percentiles()
-    sentence = state.sentence(names)
-    level = OK
-    if state.code in (Code.WAITING, Code.PAUSED) or state.joint >= 0 or state.damped:
-        level = WARN
-    if state.code in (Code.NO_FEEDBACK, Code.FAULT):
-        level = ERROR
-    if state.code is Code.WAITING and session.last_rejected:
-        sentence += f"; {session.last_rejected}"
-    if recorder is not None and (recorder.lost or recorder.state == "interrupted"):
-        level = max(level, WARN)
-        sentence += f"; recording {recorder.state}: {recorder.reason}, {recorder.lost} messages lost"
-    values = {
-        "state": state.code.name.lower(),
-        "limit": state.limit.value,
-        "joint": names[state.joint] if state.joint >= 0 else "",
-        "scale": f"{state.scale:.4f}",
-        "smallest_singular_value": f"{state.smallest_singular_value:.5f}",
-        "damped": str(state.damped).lower(),
-        "target_age_s": "never" if age is None else f"{age:.3f}",
-        "joint_state_age_s": "never" if feedback is None else f"{(now - feedback) * 1e-9:.3f}",
-        "rejected": str(sum(session.rejected.values())),
-        **{f"rejected_{role}": str(count) for role, count in sorted(session.rejected.items())},
-        "last_rejected": session.last_rejected,
-        "period_p50_us": f"{median:.1f}",
-        "period_p99_us": f"{high:.1f}",
-        "missed": str(loop.missed),
-        "stalls": str(loop.stalls),
-        "recorder": "off" if recorder is None else recorder.state,
-        "recorded_messages": "0" if recorder is None else str(recorder.messages),
-        "recorder_lost": "0" if recorder is None else str(recorder.lost),
-    }
-    return Account(level, sentence, session.model.robot_name, values)
+class Monitor:
+    """What is seen of one run; `account` sums it up. `description`: what is wrong with the last robot_description."""
+
+    def __init__(self, session: Session, loop: Loop, recorder: Recorder) -> None:
+        self.description = ""
+        self._session = session
+        self._loop = loop
+        self._recorder = recorder
+        self._timing = Timing(session.period)
+        self._second = round(1e9 / session.period)  # cycles in a second
+        self._rejected_at: int | None = None
+        self._missed = self._missed_before = 0  # in the last whole second; in all at its end
+
+    def cycle(self, index: int, now: int, late: int) -> None:
+        """Note a cycle that was due at `now` and began `late` [ns] after it."""
+        self._timing.add(now + late)
+        if index % self._second == 0:
+            missed = self._loop.missed
+            self._missed, self._missed_before = missed - self._missed_before, missed
+
+    def rejected(self, now: int) -> None:
+        """Note that a message was rejected."""
+        self._rejected_at = now
+
+    def glance(self) -> tuple[Any, ...]:
+        """Return what a new status is sent at once for when it changes."""
+        state = self._session.status
+        return state.code, state.limit, state.joint, state.closest, state.damped, self._rejected_at is None
+
+    def account(self, now: int) -> Account:
+        """Return what there is to tell."""
+        session, state = self._session, self._session.status
+        names = session.model.joint_names
+        age, feedback = session.targets.age(now), session.feedback_arrival
+        reasons, sentences = list(of_status(state)), [state.sentence(names)]
+        if state.code is Code.HOLDING:
+            sentences.append("none has come yet" if age is None else f"the last came {age:.1f} s ago")
+        if self._rejected_at is not None and now - self._rejected_at > _RECENT:
+            self._rejected_at = None
+        if self._rejected_at is not None or (state.code is Code.WAITING and session.last_rejected):
+            reasons.append("rejected")
+            sentences.append(f"rejected {session.last_rejected}")
+        if self.description:
+            reasons.append("rejected")
+            sentences.append(f"rejected robot_description: {self.description}")
+        if self._missed > 0.01 * self._second:
+            reasons.append("late")
+            sentences.append(f"{self._missed} cycles of the last second began late")
+        recorder = self._recorder.status()
+        if recorder is not None and (recorder.lost or recorder.state == "interrupted"):
+            reasons.append("recording")
+            sentences.append(f"recording {recorder.state}: {recorder.reason}, {recorder.lost} messages lost")
+        median, high = self._timing.percentiles()
+        values = {
+            "state": state.code.name.lower(),
+            "reasons": ", ".join(dict.fromkeys(reasons)),
+            "limit": state.limit.value,
+            "joint": names[state.joint] if state.joint >= 0 else "",
+            "scale": f"{state.scale:.4f}",
+            "smallest_singular_value": f"{state.smallest_singular_value:.5f}",
+            "damped": str(state.damped).lower(),
+            "target_age_s": "never" if age is None else f"{age:.3f}",
+            "joint_state_age_s": "never" if feedback is None else f"{(now - feedback) * 1e-9:.3f}",
+            "rejected": str(sum(session.rejected.values())),
+            **{f"rejected_{role}": str(count) for role, count in sorted(session.rejected.items())},
+            "last_rejected": session.last_rejected,
+            "period_us": f"{session.period * 1e-3:g}",
+            "period_p50_us": f"{median:.1f}",
+            "period_p99_us": f"{high:.1f}",
+            "missed": str(self._loop.missed),
+            "stalls": str(self._loop.stalls),
+            "recorder": "off" if recorder is None else recorder.state,
+            "bag": str(self._recorder.folder or ""),
+            "recorded_messages": "0" if recorder is None else str(recorder.messages),
+            "recorder_waiting": "0" if recorder is None else str(recorder.waiting),
+            "recorder_lost": "0" if recorder is None else str(recorder.lost),
+        }
+        return Account(level_of(reasons), "; ".join(sentences), session.model.robot_name, values)

@@ -54,7 +54,6 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
         self._stopping: Future = Future()
         self._failure: Exception | None = None  # why the last transition was not made
         self._fatal: Exception | None = None  # what ends the process
-        self._rejected_description = ""
         self._told = 0
         self._status = StatusOutput(self)
         self._urdf = urdf_text(self.parameters)
@@ -233,10 +232,10 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
             model = build_model(self.parameters, text)
             Controller(model, self.parameters)
         except IkControllerError as error:
-            self._rejected_description = f"robot_description: {error}"
-            self.get_logger().error(f"rejected, going on with the robot as it was: {self._rejected_description}")
+            self.get_logger().error(f"rejected robot_description, going on with the robot as it was: {error}")
+            self._describe(str(error))
             return
-        self._rejected_description = ""
+        self._describe("")
         if same_arm(text, self._urdf):
             self._urdf = text
             return
@@ -247,6 +246,10 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
         self._build(model)
         if active:
             self._activate()
+
+    def _describe(self, mistake: str) -> None:
+        if self.runner is not None:
+            self.runner.monitor.description = mistake
 
     # -- parameters and services: the executor's side only queues
 
@@ -308,14 +311,14 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
         if self.runner is not None:
             return
         if self.model is not None:
-            reason = "nothing is commanded until it is activated"
-        elif self._urdf is None:
-            reason = "waiting for the topic robot_description"
+            why = "nothing is commanded until it is activated"
+        elif self.state == "finalized":
+            why = "shut down"
+        elif self._failure is not None:
+            why = str(self._failure)
         else:
-            reason = f"{self._failure or 'waiting to be configured'}"
-        account = monitor.at_rest(
-            self.state, reason, self.model.robot_name if self.model else "", self._rejected_description
-        )
+            why = "waiting for the topic robot_description" if self._urdf is None else "waiting to be configured"
+        account = monitor.idle(self.state, why, self.model.robot_name if self.model else "")
         self._status.tell(self.get_clock().now().nanoseconds, account, self._told % 10 == 0)
         self._told += 1
 

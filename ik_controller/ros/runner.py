@@ -20,9 +20,9 @@ from rclpy.node import Node
 from ik_controller.errors import IkControllerError
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.parameters import ControllerParameters
-from ik_controller.ros import monitor
 from ik_controller.ros.inputs import Inputs
 from ik_controller.ros.loop import Loop, undisturbed
+from ik_controller.ros.monitor import Monitor
 from ik_controller.ros.outputs import Outputs, StatusOutput
 from ik_controller.ros.recorder import Recorder
 from ik_controller.session import Session
@@ -57,7 +57,7 @@ class Runner:
         self._stop_by: int | None = None  # when braking at the end has taken too long [ns]
         self._loop = Loop(self.session.period, self._cycle, self._on_stall)
         self._thread = threading.Thread(target=self._run, name="loop")
-        self._timing = monitor.Timing(self.session.period)
+        self.monitor = Monitor(self.session, self._loop, self.recorder)
         self._told: tuple[Any, ...] = ()
         self.set_rates(parameters)
 
@@ -116,6 +116,7 @@ class Runner:
             if bag is not None:
                 bag.write(role, now, data)
             if not session.take(role, data, now):
+                self.monitor.rejected(now)
                 self._logger.warning(f"rejected: {session.last_rejected}", throttle_duration_sec=1.0)
         step = session.cycle(now)
         if step is not None:
@@ -124,13 +125,13 @@ class Runner:
         work = time.monotonic_ns() - begin
         if bag is not None:
             bag.cycle(index, now, int(session.status.code), late, work, step is not None)
-        self._timing.add(now + late)
+        self.monitor.cycle(index, now, late)
         if index % self._monitor_every == 0:
             self._record(now, self._outputs.tell(now, session, step))
         if index % _LOOK == 0:
-            told = session.status.code, session.status.limit, session.status.joint
-            if index % self._status_every == 0 or told != self._told:
-                self._told = told
+            glance = self.monitor.glance()
+            if index % self._status_every == 0 or glance != self._told:
+                self._told = glance
                 self._tell_status(now, index % self._second < self._status_every)
         if index % self._second == self._second // 2:
             gc.collect(1)
@@ -166,5 +167,4 @@ class Runner:
         self.request(do="reset")
 
     def _tell_status(self, now: int, diagnostics: bool) -> None:
-        account = monitor.running(self.session, now, self._timing, self._loop, self.recorder.status())
-        self._record(now, [("status", self._status.tell(now, account, diagnostics))])
+        self._record(now, [("status", self._status.tell(now, self.monitor.account(now), diagnostics))])

@@ -23,8 +23,10 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, TwistStamped
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState, GetState
 from rcl_interfaces.msg import SetParametersResult
-from rcl_interfaces.srv import SetParametersAtomically
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
@@ -192,10 +194,11 @@ class Rig:
     def start_sim(self, *arguments: str) -> Process:
         return self.start("sim", [*CLI, "sim", *arguments])
 
-    def start_node(self, **parameters: Any) -> Process:
+    def start_node(self, *arguments: str, **parameters: Any) -> Process:
+        """Start the node with parameters and further ROS arguments."""
         settings = {"record_folder": str(self.folder / "runs"), **parameters}
         given = [part for name, value in settings.items() for part in ("-p", f"{name}:={value}")]
-        return self.start("node", [*NODE, "--ros-args", *given])
+        return self.start("node", [*NODE, "--ros-args", *given, *arguments])
 
     def run_cli(self, *arguments: str) -> Process:
         """Run a verb to its end."""
@@ -209,6 +212,13 @@ class Rig:
         return sorted(folder.iterdir()) if folder.exists() else []
 
     # -- listening
+
+    def hear(self, role: str, kind: Any, topic: str) -> None:
+        """Listen to one more topic, as `heard[role]`."""
+        self.heard[role], self.arrivals[role] = [], []
+        self._subscriptions[role] = self._listener.create_subscription(
+            kind, topic, lambda _: None, QoSProfile(depth=20_000)
+        )
 
     def listen(self) -> None:
         """Take what has arrived."""
@@ -264,7 +274,7 @@ class Rig:
     def call(self, service: str, data: bool | None = None) -> Any:
         """Call one of the node's services and return the response."""
         kind = SERVICES[service]
-        return self._request(
+        return self.request(
             f"/ik_controller/{service}", kind, kind.Request() if data is None else kind.Request(data=data)
         )
 
@@ -272,16 +282,23 @@ class Rig:
         """Set parameters in one go and return the result."""
         parameters = [rclpy.parameter.Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         request = SetParametersAtomically.Request(parameters=parameters)
-        return self._request("/ik_controller/set_parameters_atomically", SetParametersAtomically, request).result
+        return self.request("/ik_controller/set_parameters_atomically", SetParametersAtomically, request).result
+
+    def change_state(self, transition: str, node: str = "/ik_controller") -> bool:
+        """Ask for a lifecycle transition and return whether it was made."""
+        request = ChangeState.Request(transition=Transition(label=transition))
+        return bool(self.request(f"{node}/change_state", ChangeState, request).success)
+
+    def state(self, node: str = "/ik_controller") -> str:
+        """Return the node's lifecycle state."""
+        return str(self.request(f"{node}/get_state", GetState, GetState.Request()).current_state.label)
 
     def get_parameter(self, name: str) -> Any:
-        from rcl_interfaces.srv import GetParameters
-
         request = GetParameters.Request(names=[name])
-        response = self._request("/ik_controller/get_parameters", GetParameters, request)
+        response = self.request("/ik_controller/get_parameters", GetParameters, request)
         return parameter_value_to_python(response.values[0])
 
-    def _request(self, name: str, kind: Any, request: Any) -> Any:
+    def request(self, name: str, kind: Any, request: Any) -> Any:
         if name not in self._clients:
             self._clients[name] = self._caller.create_client(kind, name)
         client = self._clients[name]

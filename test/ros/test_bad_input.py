@@ -103,7 +103,7 @@ def test_a_bad_target_is_rejected_counted_and_told(live: Rig, case: str) -> None
     assert told["last_rejected"].startswith(f"{role}: ")
     assert reason in told["last_rejected"]
     assert "\n" not in told["last_rejected"]
-    assert status.message == "holding: no live target"
+    assert status.message.startswith("holding: no live target")
     # It goes on, and did not move.
     command = live.until_new("joint_commands", lambda c: True)
     assert not np.any(command.velocity)
@@ -128,7 +128,7 @@ def test_a_bad_joint_state_is_rejected_counted_and_told(live: Rig, case: str) ->
     status = live.until_new("status", lambda s: rejections(s) > rejections(before), "a rejection")
     assert rejections(status) == rejections(before) + 1
     assert reason in values_of(status)["last_rejected"]
-    assert status.message == "holding: no live target"
+    assert status.message.startswith("holding: no live target")
     assert "NaN" not in str(live.until_new("current_pose", lambda m: True))
 
 

@@ -104,7 +104,7 @@ def pose_of(pose: Any) -> np.ndarray:
 
 
 def test_after_the_last_target_the_arm_holds(run: Run) -> None:
-    assert run.held.message == "holding: no live target"
+    assert run.held.message.startswith("holding: no live target")
     assert run.held.level == b"\x00"
     assert float(values_of(run.held)["target_age_s"]) > 0.1
 
