@@ -12,7 +12,7 @@ import sys
 
 from ik_controller.errors import IkControllerError
 
-VERBS = ("demo", "replay", "report", "solve", "doctor", "recover", "bench", "sim", "stream")
+VERBS = ("demo", "replay", "report", "solve", "doctor", "recover", "bench", "sim", "stream", "view", "teleop")
 
 
 class _Parser(argparse.ArgumentParser):

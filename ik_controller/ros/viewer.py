@@ -1,0 +1,278 @@
+"""The viewer: the live page's ROS side. It watches one node of ours, wherever that runs, and steers it through the same
+topics, services and parameters that everybody has; the node does not know of it.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from numpy.typing import NDArray
+from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.parameter import parameter_value_to_python
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import JointState
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
+
+from ik_controller.errors import IkControllerError, MessageError
+from ik_controller.kinematics.model import RobotModel
+from ik_controller.messages import cdr
+from ik_controller.parameters import ControllerParameters, specs
+from ik_controller.robots import build_model, urdf_text
+from ik_controller.ros.polling import PolledGroup, PolledSubscription
+from ik_controller.view.page import SLIDERS, Page, Steering
+
+Array = NDArray[np.float64]
+
+_RATE = 50.0  # [Hz] of drag targets and of looking for messages
+_REDRAW = 0.04  # [s] between two pictures of the arm
+_SETTLE = 2.0  # [s] after letting go in which the target stays, so that the arm arrives
+_ARRIVED = 1e-4  # [m and rad] from the target
+_SILENT = 1.0  # [s] without status after which the node is taken for gone
+
+_FACTS = {
+    "mode": "mode",
+    "limit": "limit",
+    "joint": "joint",
+    "scale": "speed scale",
+    "smallest_singular_value": "smallest singular value",
+    "rejected": "rejected inputs",
+    "period_p99_us": "period p99 [µs]",
+    "missed": "missed cycles",
+    "recorder": "recorder",
+}
+
+
+class Viewer:
+    """Feeds a Page from the node `target` (such as "/ik_controller") and back; `run` until `stop`."""
+
+    def __init__(self, target: str, page_title: str, dark: bool = False, context: Any = None) -> None:
+        self.page = Page(page_title, Steering(self._drag, self._set, self._press), dark)
+        self._target = target
+        self._lock = threading.Lock()
+        self._goal: tuple[Any, float] | None = None  # dragged pose, and until when it is sent
+        self._stop = threading.Event()
+        self.node = node = Node("viewer", context=context, start_parameter_services=False)
+        self._get = node.create_client(GetParameters, f"{target}/get_parameters")
+        self._set_parameters = node.create_client(SetParameters, f"{target}/set_parameters")
+        self._services = {
+            "pause": (node.create_client(SetBool, f"{target}/pause"), SetBool.Request(data=True)),
+            "resume": (node.create_client(SetBool, f"{target}/pause"), SetBool.Request(data=False)),
+            "reset": (node.create_client(Trigger, f"{target}/reset"), Trigger.Request()),
+            "record": (node.create_client(SetBool, f"{target}/record"), SetBool.Request(data=True)),
+            "seal": (node.create_client(SetBool, f"{target}/record"), SetBool.Request(data=False)),
+        }
+        self._pose = node.create_publisher(PoseStamped, f"{target}/target_pose", 10)
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self._description: str | None = None
+        node.create_subscription(String, _beside(target, "robot_description"), self._on_description, latched)
+        group = PolledGroup()
+        inputs = {
+            "measured": (JointState, _beside(target, "joint_states")),
+            "commanded": (JointState, _beside(target, "joint_commands")),
+            "status": (DiagnosticStatus, f"{target}/status"),
+            "error": (TwistStamped, f"{target}/tracking_error"),
+        }
+        self._inputs = {
+            name: PolledSubscription(node, group, kind, topic, 1, reliable=False)
+            for name, (kind, topic) in inputs.items()
+        }
+        self._model: RobotModel | None = None
+        self._joints: cdr.JointStateReader | None = None
+        self._error = np.zeros(6)
+        self._speed = 0.0
+        self._asked: Any = None
+        self._heard = -_SILENT  # when the node last told its status
+        self._commanded_at = 0.0
+
+    def stop(self, *_: Any) -> None:
+        """End `run`; for signal handlers."""
+        self._stop.set()
+
+    def run(self) -> None:
+        """Watch and steer until `stop`."""
+        executor = SingleThreadedExecutor(context=self.node.context)
+        executor.add_node(self.node)
+        start = redrawn = time.monotonic()
+        while not self._stop.is_set():
+            begin = time.monotonic()
+            executor.spin_once(timeout_sec=0.0)
+            self._send_goal(begin)
+            self._look(begin, begin - start, begin - redrawn >= _REDRAW)
+            if begin - redrawn >= _REDRAW:
+                redrawn = begin
+            self._stop.wait(max(1.0 / _RATE - (time.monotonic() - begin), 0.001))
+        executor.shutdown()
+        self.page.close()
+        self.node.destroy_node()
+
+    # -- what the arm does
+
+    def _look(self, now: float, seconds: float, redraw: bool) -> None:
+        status = self._latest("status")
+        if status is not None:
+            if now - self._heard > _SILENT:  # new, or come back: it may be another arm now
+                self._asked = None
+                self._model = None
+            self._heard = now
+            self._tell(cdr.decode("diagnostic_msgs/msg/DiagnosticStatus", status))
+        elif now - self._heard > _SILENT:
+            self.page.show_status(3, f"no node answers as {self._target}")
+        if self._model is None and now - self._heard <= _SILENT:
+            self._attach()
+        if self._model is None or self._joints is None or not redraw:
+            return
+        for kind in ("measured", "commanded"):
+            data = self._latest(kind)
+            if data is None:
+                continue
+            try:
+                q = self._joints.read(data)
+            except MessageError:
+                continue
+            if q is not None:
+                self.page.show_arm(kind, q.copy())
+                if kind == "commanded":
+                    self._commanded_at = now
+                    velocity = np.array(cdr.decode(cdr.JOINT_STATE, data).velocity)
+                    self._speed = float(np.max(np.abs(velocity) / self._model.velocity_limit))
+        data = self._latest("error")
+        if data is not None:
+            twist = cdr.decode(cdr.TWIST, data).twist
+            v, w = twist.linear, twist.angular
+            self._error = np.array((v.x, v.y, v.z, w.x, w.y, w.z))
+            position, turn = float(np.linalg.norm(self._error[:3])), float(np.linalg.norm(self._error[3:]))
+            self.page.show_errors(seconds, position, turn, self._speed)
+
+    def _latest(self, name: str) -> bytes | None:
+        latest = None
+        while (data := self._inputs[name].take()) is not None:
+            latest = data
+        return latest
+
+    def _tell(self, status: Any) -> None:
+        values = {pair.key: pair.value for pair in status.values}
+        facts = [(label, values[key]) for key, label in _FACTS.items() if values.get(key)]
+        self.page.show_status(int(status.level), str(status.message), facts)
+
+    # -- which arm it is
+
+    def _on_description(self, message: String) -> None:
+        self._description = message.data
+
+    def _attach(self) -> None:
+        """Ask the node for its parameters, and show the arm that they name."""
+        if self._asked is None:
+            if not self._get.service_is_ready():
+                return
+            self._names = [spec.name for spec in specs()]
+            self._asked = self._get.call_async(GetParameters.Request(names=self._names))
+        if not self._asked.done():
+            return
+        given = self._asked.result().values
+        self._asked = None
+        values = {
+            name: parameter_value_to_python(value)
+            for name, value in zip(self._names, given, strict=False)
+            if value.type != ParameterType.PARAMETER_NOT_SET
+        }
+        try:
+            parameters = ControllerParameters.from_mapping({n: v for n, v in values.items() if v is not None})
+            try:
+                urdf = urdf_text(parameters)
+            except IkControllerError:
+                urdf = None  # a file of the node's machine, not of this one
+            urdf = urdf or self._description
+            if urdf is None:
+                self.page.show_status(1, "waiting for the topic robot_description")
+                return
+            model = build_model(parameters, urdf)
+        except IkControllerError as error:
+            self.page.show_status(2, str(error))
+            return
+        note = self.page.load(model)
+        if note:
+            self.page.notify("Robot", note)
+        self._model, self._joints = model, cdr.JointStateReader(model.joint_names)
+        sliders = {name: getattr(parameters, name) for name in SLIDERS}
+        self.page.show_parameters({n: float(v[0] if isinstance(v, tuple) else v) for n, v in sliders.items()})
+
+    # -- what the user does; from the page's threads
+
+    def _drag(self, pose: Any, held: bool) -> None:
+        with self._lock:
+            self._goal = (pose, float("inf") if held else time.monotonic() + _SETTLE)
+        self._publish(pose)
+
+    def _send_goal(self, now: float) -> None:
+        with self._lock:
+            goal = self._goal
+            if goal is None:
+                return
+            pose, until = goal
+            arrived = until < float("inf") and float(np.max(np.abs(self._error))) < _ARRIVED and until - now < 1.5
+            if now > until or arrived:
+                self._goal = None
+                return
+        self._publish(pose)
+
+    def _publish(self, pose: Any) -> None:
+        model = self._model
+        if model is not None:
+            normal = pin.SE3(pin.Quaternion(pose.rotation).normalized(), pose.translation)
+            self._pose.publish(cdr.pose_message(time.time_ns(), model.base_frame, normal))
+
+    def _set(self, name: str, value: float) -> None:
+        kind = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
+        if name == "gain":
+            kind = ParameterValue(type=ParameterType.PARAMETER_DOUBLE_ARRAY, double_array_value=[value])
+        request = SetParameters.Request(parameters=[Parameter(name=name, value=kind)])
+        if not self._set_parameters.service_is_ready():
+            self.page.notify(name, f"no node answers as {self._target}")
+            return
+        self._set_parameters.call_async(request).add_done_callback(lambda done: self._was_set(name, done))
+
+    def _was_set(self, name: str, done: Any) -> None:
+        for result in done.result().results:
+            if not result.successful:
+                self.page.notify(name, str(result.reason))
+
+    def _press(self, name: str) -> None:
+        client, request = self._services[name]
+        if not client.service_is_ready():
+            self.page.notify(name, f"no node answers as {self._target}")
+            return
+        client.call_async(request).add_done_callback(lambda done: self._answered(name, done))
+
+    def _answered(self, name: str, done: Any) -> None:
+        self.page.notify(name, str(done.result().message))
+
+
+def _beside(target: str, topic: str) -> str:
+    """Return a topic of the node's namespace."""
+    return f"{target.rpartition('/')[0]}/{topic}"
+
+
+def view(target: str, title: str, dark: bool, opened: Any) -> None:
+    """Serve the page of the node `target` until SIGINT or SIGTERM; `opened(page)` is called once it is served."""
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    viewer = Viewer(target, title, dark)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, viewer.stop)
+    try:
+        opened(viewer.page)
+        viewer.run()
+    finally:
+        rclpy.try_shutdown()

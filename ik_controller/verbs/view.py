@@ -1,0 +1,114 @@
+"""`ik_controller view`: the live page of a node, of a simulated arm of its own, or of a recorded run."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+from ik_controller.errors import IkControllerError, ParameterError
+from ik_controller.verbs.common import add_json_argument, add_model_arguments, print_json
+
+HELP = "show an arm in the browser and drag its target: a running node's, a simulated one (--sim), or a bag's (--bag)"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the verb's arguments."""
+    parser.add_argument("--node", default="/ik_controller", metavar="NAME", help="the node to watch (/ik_controller)")
+    parser.add_argument("--sim", action="store_true", help="start a simulated arm and its node, and show them")
+    parser.add_argument("--bag", metavar="BAG", help="play a recorded run; needs no ROS")
+    add_model_arguments(parser, default="panda")
+    parser.add_argument("--host", default="127.0.0.1", help="address to serve on (127.0.0.1); others need a token")
+    parser.add_argument("--port", type=int, default=8080, help="port to serve on (8080; 0: any that is free)")
+    parser.add_argument("--dark", action="store_true", help="dark page")
+    parser.add_argument("--output", default="runs", metavar="FOLDER", help="folder for the bags of --sim (runs)")
+    add_json_argument(parser)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Serve until Ctrl-C."""
+    try:
+        from ik_controller.view.door import Door
+        from ik_controller.view.page import Page
+    except ImportError as missing:
+        raise IkControllerError(
+            f"the live page needs '{missing.name}': pip install 'ik_controller[view]', or pip install viser"
+        ) from None
+    if not 0 <= arguments.port <= 65535:
+        raise ParameterError(f"--port {arguments.port}: need 0 to 65535")
+    doors: list[Any] = []
+
+    def opened(page: Page) -> None:
+        try:
+            door = Door(arguments.host, arguments.port, page.port)
+        except OSError as error:
+            raise IkControllerError(
+                f"cannot serve on {arguments.host}:{arguments.port}: {error.strerror}; another --port?"
+            ) from None
+        doors.append(door)
+        if arguments.json:
+            print_json({"url": door.address})
+        else:
+            print(f"open {door.address}    (Ctrl-C ends)")
+        sys.stdout.flush()
+
+    try:
+        if arguments.bag:
+            _play(arguments, opened)
+        elif arguments.sim:
+            _simulate(arguments, opened)
+        else:
+            from ik_controller.ros.viewer import view
+
+            view(arguments.node, arguments.node.strip("/"), arguments.dark, opened)
+    finally:
+        for door in doors:
+            door.close()
+    return 0
+
+
+def _play(arguments: argparse.Namespace, opened: Any) -> None:
+    from ik_controller.view.playback import Playback, Run
+
+    playback = Playback(Run(Path(arguments.bag)), Path(arguments.bag).name, arguments.dark)
+    opened(playback.page)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, playback.stop)
+    playback.run()
+
+
+def _simulate(arguments: argparse.Namespace, opened: Any) -> None:
+    from ik_controller.verbs.common import parameters_from
+    from ik_controller.verbs.processes import Processes, own_domain, start_arm
+
+    title = parameters_from(arguments).robot or Path(arguments.urdf).stem  # says what is wrong before anything starts
+    output = Path(arguments.output)
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise IkControllerError(f"--output {output}: {error.strerror}") from None
+    own_domain()
+    from ik_controller.ros.viewer import view
+
+    processes = Processes(output / "view.log")
+    try:
+        start_arm(processes, arguments, {"record_folder": str(output)})
+        watch = threading.Thread(target=_watch, args=(processes,), daemon=True)
+        watch.start()
+        view("/ik_controller", f"{title} (simulated)", arguments.dark, opened)
+        processes.end("node", "sim")
+    finally:
+        processes.close()
+
+
+def _watch(processes: Any) -> None:
+    """Say so where arm or node end by themselves."""
+    while True:
+        for name in ("sim", "node"):
+            if processes.poll(name) not in (None, 0):
+                print(f"the {name} process ended: {processes.last_line()} (all: {processes.log})", file=sys.stderr)
+                return
+        threading.Event().wait(0.5)
