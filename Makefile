@@ -18,15 +18,19 @@ endif
 PACKAGES := $(VENV)/packages-$(subst /,_,$(PYTHON))-$(ROS)
 READY := $(PACKAGES)-ready
 KERNELS := $(PACKAGES)-kernels
+VIEW := $(PACKAGES)-view
 DEV := $(PACKAGES)-dev
 PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input --quiet install
 # Bytecode on all cores and without the libraries' own tests takes half of pip's time.
 COMPILE := $(BIN)/python -m compileall -q -q -j 0 -x '/tests?/' $(VENV)/lib
 
-.PHONY: demo test soak lint bench bench-peers docs install clean help
+.PHONY: demo view test soak lint bench bench-peers docs install clean help
 
 demo: $(KERNELS)  ## the main job: simulated arm, node and target streamer over DDS, recorded, replayed, drawn
 	@$(BIN)/ik_controller demo
+
+view: $(KERNELS) $(VIEW)  ## a simulated arm in the browser: drag its target
+	@$(BIN)/ik_controller view --sim
 
 test: $(KERNELS) $(DEV)  ## the test suite
 	@$(BIN)/python -m pytest -m "not soak"
@@ -76,7 +80,12 @@ $(KERNELS): $(READY) $(wildcard ik_controller/control/*.py ik_controller/kinemat
 	@$(BIN)/python scripts/warm_up.py
 	@touch $@
 
-$(DEV): $(PACKAGES) requirements-dev.txt
+$(VIEW): $(PACKAGES) requirements-view.txt
+	@echo "Adding what the live page needs: once ..."
+	@$(PIP) -r requirements-view.txt
+	@touch $@
+
+$(DEV): $(PACKAGES) $(VIEW) requirements-dev.txt
 	@echo "Adding what tests and lint need: once ..."
 	@$(PIP) -r requirements-dev.txt
 	@touch $@

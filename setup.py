@@ -48,6 +48,7 @@ setup(
     extras_require={
         "fast": ["numba>=0.60"],
         "analytic": ["eaik>=1.2"],
+        "view": ["viser>=1.0"],
         "ros": ["ros-jazzy-rclpy", "ros-jazzy-common-interfaces", "ros-jazzy-rmw-fastrtps-cpp"],
         "test": ["pytest", "hypothesis", "mcap-ros2-support", "example-robot-data"],
     },

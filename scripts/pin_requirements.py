@@ -1,4 +1,4 @@
-"""Write requirements.txt, requirements-dev.txt and requirements-ros.txt: every package pinned for every Python.
+"""Write requirements*.txt: every package pinned for every Python.
 
     python scripts/pin_requirements.py python3.10 python3.11 python3.12 python3.13
 
@@ -24,6 +24,7 @@ FILES = {
         ["numpy", "pin", "mcap", "rosbags", "PyYAML", "zstandard", "lz4", "matplotlib", "daqp",
          "numba", "setuptools"],
     ),
+    "requirements-view.txt": ("What the live page (ik_controller view) needs besides.", ["viser"]),
     "requirements-dev.txt": (
         "What tests and lint need besides.",
         ["pytest", "hypothesis", "ruff", "mypy", "mcap-ros2-support", "example-robot-data",

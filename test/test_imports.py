@@ -11,14 +11,15 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "ik_controller"
 # Each room may import from those before it.
-ROOMS = ["errors", "parameters", "share", "kinematics", "robots", "control", "messages", "session", "recording", "ros",
-         "verbs", "cli"]  # fmt: skip
+ROOMS = ["errors", "parameters", "share", "kinematics", "robots", "control", "messages", "session", "recording", "view",
+         "ros", "verbs", "cli"]  # fmt: skip
 # What only some rooms may know, wherever in a module the import stands.
 ONLY = {
     "rclpy": {"ros"},
     "mcap": {"recording"},
     "rosbags": {"messages", "recording"},
     "matplotlib": {"recording", "verbs"},
+    "viser": {"view"},
 }
 ROS = ["rclpy", "rosidl_runtime_py", "ament_index_python", "builtin_interfaces", "std_msgs", "std_srvs", "sensor_msgs",
        "geometry_msgs", "trajectory_msgs", "diagnostic_msgs", "rcl_interfaces"]  # fmt: skip

@@ -6,7 +6,9 @@ over. What the user does comes out through the `Steering` callbacks; what the ar
 
 from __future__ import annotations
 
+import contextlib
 import html
+import io
 import threading
 import time
 from collections import deque
@@ -58,20 +60,21 @@ SLIDERS = {
     "posture_gain": ("null-space gain [1/s]", 0.0, 10.0, 0.1),
     "velocity_scale": ("speed scale", 0.01, 1.0, 0.01),
 }
-_BUTTONS = (
-    ("pause", "Pause"),
-    ("resume", "Go on"),
-    ("reset", "Reset"),
-    ("record", "Record"),
-    ("seal", "Stop recording"),
-)
+_BUTTONS = {
+    "pause": "Pause",
+    "resume": "Go on",
+    "reset": "Reset",
+    "record": "Record",
+    "seal": "Stop recording",
+}
 
 
 class Page:
     """The page of one arm on a loopback port; `steering` None makes it one to watch only."""
 
     def __init__(self, title: str, steering: Steering | None = None, dark: bool = False) -> None:
-        self.server = viser.ViserServer(host="127.0.0.1", port=0, label=title, verbose=False)
+        with contextlib.redirect_stdout(io.StringIO()):  # viser tells its own address, which is not the door's
+            self.server = viser.ViserServer(host="127.0.0.1", port=0, label=title, verbose=False)
         self.port: int = self.server.get_port()
         self._steering = steering
         self._lock = threading.RLock()
@@ -114,7 +117,8 @@ class Page:
 
     def close(self) -> None:
         """Stop serving."""
-        self.server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
 
     # -- the arm
 
@@ -218,8 +222,8 @@ class Page:
     def show_obstacles(self, shapes: Sequence[tuple[str, Sequence[float], Any]]) -> None:
         """Show obstacles: (kind "box", "sphere", "cylinder" or "capsule", sizes [m], `pin.SE3` in the base frame)."""
         with self._lock:
-            for handle in self._obstacles:
-                handle.remove()
+            for old in self._obstacles:
+                old.remove()
             self._obstacles = []
             for index, (kind, size, pose) in enumerate(shapes):
                 place: dict[str, Any] = {"position": pose.translation, "wxyz": _wxyz(pose.rotation)}
