@@ -6,6 +6,8 @@ checked.
 
 from __future__ import annotations
 
+import argparse
+import importlib
 import re
 import shlex
 import shutil
@@ -19,7 +21,7 @@ from ik_controller.cli import VERBS
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "bags" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-RUNNING = ("sim", "stream", "demo")  # verbs that talk ROS; see test/verbs and test/ros
+RUNNING = ("sim", "stream", "demo", "view", "teleop")  # verbs that talk ROS; see test/verbs and test/ros
 ELSEWHERE = ("pip", "colcon", "ros2")
 
 
@@ -49,6 +51,10 @@ def test_command(command, tmp_path):
     assert words[0] == "ik_controller"
     assert words[1] in VERBS
     if words[1] in RUNNING:
+        parser = argparse.ArgumentParser()
+        module = importlib.import_module(f"ik_controller.verbs.{words[1]}")
+        module.add_arguments(parser)
+        parser.parse_args(words[2:])  # its words are right
         return
     shutil.copytree(ROOT / "bags", tmp_path / "bags")
     (tmp_path / "FILE").write_text("gain: 20.0\n", encoding="utf-8")

@@ -16,16 +16,16 @@ from rclpy.node import Node
 from rig import CLI, Rig, environment
 from sensor_msgs.msg import Joy
 
+from ik_controller.robots import build_model, bundled_parameters
+
 PANDA = ("--rate", "500")
+MODEL = build_model(bundled_parameters("panda"))
 
 
 def tool_moves(rig: Rig, axis: int) -> float:
     """Return how far the tool has moved along an axis of the base in the commands heard [m]."""
-    from ik_controller.robots import build_model, bundled_parameters
-
-    model = build_model(bundled_parameters("panda"))
     commands = rig.heard["joint_commands"]
-    first, last = (model.forward(np.array(commands[i].position)).translation for i in (0, -1))
+    first, last = (MODEL.forward(np.array(commands[i].position)).translation for i in (0, -1))
     return float(last[axis] - first[axis])
 
 
