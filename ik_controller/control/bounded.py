@@ -1,112 +1,255 @@
 """The bounded problem: the task within joint intervals; redundancy before slowing down, slowing before bending.
 
-    minimize  ‖D (q̇ − q̇_wanted)‖² + W (1 − s)²   subject to  J q̇ = s J q̇_wanted,  low ≤ q̇ ≤ high,  0 ≤ s ≤ 1
+    minimize  ‖D (q̇ − s q̇_wanted)‖² + W (1 − s)²
+    subject to  J q̇ = s J q̇_wanted,  low ≤ q̇ ≤ high,  G q̇ ≤ g,  0 ≤ s ≤ 1
 
 is a true quadratic program: a joint at its bound is relieved by the others (null space) before the task is scaled by s
-along its direction. W is large, so s is given up last. Where no s can hold the direction (a joint must still brake from
-the last cycle), the closest velocity in the intervals is taken. Solved by DAQP, a dual active-set method.
+along its direction. D divides by the velocity limits; W is large, so s is given up last. With y = D q̇ and N a basis of
+the y that do not move the tool, the equality is solved beforehand: y = s y_wanted + N z, and what remains is the
+shortest (√W (1 − s), z) within the bounds: two unknowns for a 7-joint arm.
+
+Redundancy keeps the task at its full speed, but is not there to speed it up: null-space motion bought for a faster
+start has to be braked as well, and is missing where the tool is to stop. So where s < 1 anyway, it rises from cycle to
+cycle no faster than the joints' accelerations allow without that help.
+
+Where no s in [0, 1] can hold the direction, because a joint must still brake from the last cycle, the tool may go on
+along its last velocity too: J q̇ = s₁ J q̇_wanted + s₂ ẋ_last, s₁, s₂ in [0, 1]. So it leaves no straight line, and
+turns from one direction into another between the two. Where that has no solution either, the closest velocity in the
+intervals is taken, with the rows G q̇ ≤ g as far as they can be kept.
 """
 
 from __future__ import annotations
 
-import daqp
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
+from ik_controller.control.least_distance import least_distance
 from ik_controller.kinematics.accelerate import compiled
+from ik_controller.kinematics.small import row_basis
 
 Array = NDArray[np.float64]
 
-_SCALE_WEIGHT = 1e6  # W: against joint velocities of order one (D divides by the velocity limits)
+# How the velocity was found.
+ALONG, BETWEEN, CLOSEST = 0, 1, 2
+
+SCALE_WEIGHT = 1e8  # W, against joint velocities of order one
 _CLOSEST_WEIGHT = 1e-4  # pull to the wanted joint velocities beside the task, where the task cannot be held
-_RANK_TOLERANCE = 1e-8  # σ²/σ_max² below which a task direction is no constraint: the arm cannot move along it
-_PRIMAL_TOLERANCE = 1e-11
-_EQUALITY = 5
-_SOLVED = 1
-
-
-def bounded_velocity(
-    wanted: Array,
-    jacobian: Array,
-    eigenvalues: Array,
-    directions: Array,
-    low: Array,
-    high: Array,
-    velocity_limit: Array,
-) -> tuple[Array, float, bool]:
-    """Return (q̇ (n,), s, bent): the velocity nearest to `wanted` (n,) in [low, high] that keeps J q̇ along J q̇_wanted.
-
-    `jacobian` J (m, n) with `eigenvalues` (m,) and `directions` (m, m) of J Jᵀ. `bent` says that the direction could
-    not be held and q̇ is the closest instead.
-    """
-    n = wanted.size
-    hessian, linear = np.zeros((n + 1, n + 1)), np.empty(n + 1)
-    equality = np.empty((eigenvalues.size, n + 1))
-    upper, lower = np.zeros(n + 1 + eigenvalues.size), np.zeros(n + 1 + eigenvalues.size)
-    m = _assemble(
-        wanted, jacobian, eigenvalues, directions, low, high, velocity_limit, hessian, linear, equality, upper, lower
-    )
-    if m == 0:  # the arm can move the tool nowhere: there is no direction to hold
-        return np.fmin(np.fmax(wanted, low), high), 1.0, False
-    end = n + 1 + m
-    sense = np.zeros(end, dtype=np.int32)
-    sense[n + 1 :] = _EQUALITY
-    solution, _, flag, _ = daqp.solve(
-        hessian, linear, equality[:m], upper[:end], lower[:end], sense, primal_tol=_PRIMAL_TOLERANCE
-    )
-    if flag == _SOLVED:
-        return np.fmin(np.fmax(solution[:n], low), high), min(max(solution.item(n), 0.0), 1.0), False
-
-    # Closest: as fast as the joints' limits allow along the wanted direction, then least squares in the intervals.
-    excess = float(np.max(np.abs(wanted) / velocity_limit))
-    aim = wanted / max(excess, 1.0)
-    rows = equality[:m, :n]
-    hessian = rows.T @ rows + _CLOSEST_WEIGHT * hessian[:n, :n]
-    linear = -(hessian @ aim)
-    solution, _, flag, _ = daqp.solve(
-        hessian, linear, np.zeros((1, n)), np.append(high, 1.0), np.append(low, -1.0), np.zeros(n + 1, dtype=np.int32)
-    )
-    closest = solution if flag == _SOLVED else aim
-    return np.fmin(np.fmax(closest, low), high), 1.0 / max(excess, 1.0), True
+_ROW_WEIGHT = 1e8  # on the square of how far a row of G is not kept
+_FULL = 1.0 - 1e-6  # s from which on nothing was given up
+_TOLERANCE = 1e-12  # of bounds, as a share of the velocity limits
 
 
 @compiled
-def _assemble(
+def bounded_velocity(
     wanted: Array,
     jacobian: Array,
-    eigenvalues: Array,
-    directions: Array,
+    last: Array,
     low: Array,
     high: Array,
-    velocity_limit: Array,
-    hessian: Array,
-    linear: Array,
-    equality: Array,
-    upper: Array,
-    lower: Array,
-) -> int:
-    """Write the program for (q̇, s) and return its number of equalities: one for each direction the arm can move in.
+    limit: Array,
+    step: Array,
+    rows: Array,
+    row_bounds: Array,
+    velocity: Array,
+) -> tuple[float, int]:
+    """Write the velocity (n,) nearest to `wanted` (n,) in [`low`, `high`] that keeps the tool's direction; return s and
+    how it was found.
 
-    `hessian` (n + 1, n + 1) comes as zeros; `equality` (6, n + 1), `upper`, `lower` (n + 7,), zeros, bounds first.
+    `jacobian` J (m, n); `last` ẋ_last (m,), the task velocity of the last cycle; `limit` (n,), the velocity limits;
+    `step` (n,), by how much a velocity may change in a cycle;
+    `rows` G (k, n) and `row_bounds` g (k,), k may be 0. The result is always in [low, high].
     """
-    n, rank = wanted.shape[0], eigenvalues.shape[0]
-    first = 0
-    while first < rank and eigenvalues[first] <= _RANK_TOLERANCE * eigenvalues[rank - 1]:
-        first += 1
-    for row in range(rank - first):
-        along = 0.0
-        for j in range(n):
-            total = 0.0
-            for i in range(jacobian.shape[0]):
-                total += directions[i, first + row] * jacobian[i, j]
-            equality[row, j] = total
-            along += total * wanted[j]
-        equality[row, n] = -along
+    n, m = wanted.shape[0], jacobian.shape[0]
+    task, aim, largest = np.empty((m, n)), np.empty(n), 1.0
     for j in range(n):
-        hessian[j, j] = 1.0 / (velocity_limit[j] * velocity_limit[j])
-        linear[j] = -hessian[j, j] * wanted[j]
-        upper[j], lower[j] = high[j], low[j]
-    hessian[n, n], linear[n] = _SCALE_WEIGHT, -_SCALE_WEIGHT
-    upper[n] = 1.0
-    count: int = rank - first
-    return count
+        aim[j] = wanted[j] / limit[j]
+        largest = max(largest, abs(aim[j]))
+        for i in range(m):
+            task[i, j] = jacobian[i, j] * limit[j]
+    tolerance = _TOLERANCE * largest
+    basis, order = np.empty((n, n)), np.empty(m, dtype=np.int64)
+    rank = row_basis(task, basis, order)
+    ways, y = np.zeros((2, n)), np.empty(n)
+    for j in range(n):
+        ways[0, j] = -aim[j]
+    found = ALONG
+    solved, scale = _on_path(aim, ways, 1, 1.0, basis, rank, low, high, limit, rows, row_bounds, tolerance, y)
+    if not solved or scale < _FULL:
+        _reach(task, basis, order, rank, last, ways[1])
+    if solved and scale < _FULL:
+        most = _most_at_ease(aim, ways[1], basis, rank, limit, step)
+        if most < scale:
+            solved, scale = _on_path(aim, ways, 1, most, basis, rank, low, high, limit, rows, row_bounds, tolerance, y)
+    if not solved:
+        found = BETWEEN
+        solved, scale = _on_path(aim, ways, 2, 1.0, basis, rank, low, high, limit, rows, row_bounds, tolerance, y)
+    if not solved:
+        found, scale = CLOSEST, 1.0 / largest
+        _closest(aim, scale, jacobian, low, high, limit, rows, row_bounds, y)
+    for j in range(n):
+        velocity[j] = min(max(y[j] * limit[j], low[j]), high[j])
+    return min(max(scale, 0.0), 1.0), found
+
+
+@compiled
+def _reach(lower: Array, basis: Array, order: NDArray[np.int64], rank: int, task_velocity: Array, way: Array) -> None:
+    """Write the shortest y (n,) with A y = `task_velocity` (m,), from P A = L Qᵀ of `row_basis`: y = Q L⁻¹ P ẋ."""
+    n = way.shape[0]
+    part = np.empty(rank)
+    for j in range(n):
+        way[j] = 0.0
+    for i in range(rank):
+        total = task_velocity[order[i]]
+        for j in range(i):
+            total -= lower[i, j] * part[j]
+        part[i] = total / lower[i, i]
+        for j in range(n):
+            way[j] += part[i] * basis[j, i]
+
+
+@compiled
+def _most_at_ease(aim: Array, last: Array, basis: Array, rank: int, limit: Array, step: Array) -> float:
+    """Return the largest s ≤ 1 that the tool can be brought to in this cycle without help from the null space.
+
+    `last` b (n,): the part of the last velocity that moved the tool; a, the same part of `aim` (n,). With s_last =
+    a·b/a·a the joints change by s aim − b − s_last (aim − a), each by its `step` (n,) at most; 1 where no s does that.
+    """
+    n = aim.shape[0]
+    part, along, square = np.zeros(n), 0.0, 0.0
+    for column in range(rank):
+        total = 0.0
+        for j in range(n):
+            total += basis[j, column] * aim[j]
+        for j in range(n):
+            part[j] += total * basis[j, column]
+    for j in range(n):
+        along += part[j] * last[j]
+        square += part[j] * part[j]
+    before = along / square if square > 0.0 else 0.0
+    least, most = -math.inf, 1.0
+    for j in range(n):
+        goal, start = aim[j] * limit[j], (last[j] + before * (aim[j] - part[j])) * limit[j]
+        if goal < 0.0:
+            goal, start = -goal, -start
+        if goal > 0.0:
+            least, most = max(least, (start - step[j]) / goal), min(most, (start + step[j]) / goal)
+    return most if least <= most and most > 0.0 else 1.0
+
+
+@compiled
+def _on_path(
+    aim: Array,
+    ways: Array,
+    count: int,
+    most: float,
+    basis: Array,
+    rank: int,
+    low: Array,
+    high: Array,
+    limit: Array,
+    rows: Array,
+    row_bounds: Array,
+    tolerance: float,
+    y: Array,
+) -> tuple[bool, float]:
+    """Write y = aim + Σ tᵢ waysᵢ + N z (n,) within all bounds, ‖(√W t, z)‖ the shortest; return (is there one, s₁).
+
+    `ways` (2, n), of which the first `count` are used: t₁ = 1 − s₁ with 0 ≤ s₁ ≤ `most`, and 0 ≤ t₂ = s₂ ≤ 1.
+    """
+    n, k = aim.shape[0], row_bounds.shape[0]
+    p, omega = count + n - rank, math.sqrt(SCALE_WEIGHT)
+    c, lower, upper, x = np.zeros((n + count + k, p)), np.empty(n + count + k), np.empty(n + count + k), np.empty(p)
+    for j in range(n):
+        for way in range(count):
+            c[j, way] = ways[way, j] / omega
+        for column in range(rank, n):
+            c[j, count + column - rank] = basis[j, column]
+        lower[j], upper[j] = low[j] / limit[j] - aim[j], high[j] / limit[j] - aim[j]
+    c[n, 0] = 1.0 / omega
+    lower[n], upper[n] = 1.0 - most, 1.0
+    if count == 2:
+        c[n + 1, 1] = 1.0 / omega
+        lower[n + 1], upper[n + 1] = 0.0, 1.0
+    for i in range(k):
+        row = n + count + i
+        size = _row_size(rows, i, limit)
+        lower[row], upper[row] = -math.inf, row_bounds[i] / size
+        for j in range(n):
+            share = rows[i, j] * limit[j] / size
+            upper[row] -= share * aim[j]
+            for column in range(p):
+                c[row, column] += share * c[j, column]
+    if not least_distance(c, lower, upper, tolerance, x):
+        return False, 0.0
+    for j in range(n):
+        y[j] = aim[j]
+        for column in range(p):
+            y[j] += c[j, column] * x[column]
+    return True, 1.0 - x[0] / omega
+
+
+@compiled
+def _row_size(rows: Array, i: int, limit: Array) -> float:
+    """Return ‖G_i D⁻¹‖, 1 for an empty row: rows are measured in shares of the velocity limits too."""
+    total = 0.0
+    for j in range(limit.shape[0]):
+        total += rows[i, j] * rows[i, j] * limit[j] * limit[j]
+    return math.sqrt(total) if total > 0.0 else 1.0
+
+
+@compiled
+def _closest(
+    aim: Array,
+    scale: float,
+    jacobian: Array,
+    low: Array,
+    high: Array,
+    limit: Array,
+    rows: Array,
+    row_bounds: Array,
+    y: Array,
+) -> None:
+    """Write the y (n,) within its bounds that minimizes ‖J D⁻¹(y − s aim)‖² + c ‖y − s aim‖² + ρ ‖violation of rows‖².
+
+    With L Lᵀ = D⁻¹JᵀJ D⁻¹ + c I and y = s aim + L⁻ᵀx this is the shortest (x, √ρ violations).
+    """
+    n, m, k = aim.shape[0], jacobian.shape[0], row_bounds.shape[0]
+    factor = np.zeros((n, n))  # L, then L⁻¹
+    for j in range(n):
+        for i in range(j, n):
+            total = _CLOSEST_WEIGHT if i == j else 0.0
+            for row in range(m):
+                total += jacobian[row, i] * limit[i] * jacobian[row, j] * limit[j]
+            for column in range(j):
+                total -= factor[i, column] * factor[j, column]
+            factor[i, j] = math.sqrt(total) if i == j else total / factor[j, j]
+    for j in range(n):
+        factor[j, j] = 1.0 / factor[j, j]
+        for i in range(j + 1, n):
+            total = 0.0
+            for column in range(j, i):
+                total -= factor[i, column] * factor[column, j]
+            factor[i, j] = total / factor[i, i]
+    c, lower, upper, x = np.zeros((n + k, n + k)), np.empty(n + k), np.empty(n + k), np.zeros(n + k)
+    for j in range(n):
+        for column in range(j, n):
+            c[j, column] = factor[column, j]
+        lower[j], upper[j] = low[j] / limit[j] - scale * aim[j], high[j] / limit[j] - scale * aim[j]
+    for i in range(k):
+        size = _row_size(rows, i, limit)
+        lower[n + i], upper[n + i] = -math.inf, row_bounds[i] / size
+        c[n + i, n + i] = -1.0 / math.sqrt(_ROW_WEIGHT)
+        for j in range(n):
+            share = rows[i, j] * limit[j] / size
+            upper[n + i] -= scale * share * aim[j]
+            for column in range(n):
+                c[n + i, column] += share * c[j, column]
+    if not least_distance(c, lower, upper, _TOLERANCE, x):
+        for column in range(n + k):  # not in exact arithmetic: the bounds alone have a solution always
+            x[column] = 0.0
+    for j in range(n):
+        y[j] = scale * aim[j]
+        for column in range(j, n):
+            y[j] += c[j, column] * x[column]

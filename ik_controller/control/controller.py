@@ -1,7 +1,7 @@
 """Controller: one cycle of the closed loop, a pure function of its state and arguments.
 
-State is the last commanded position and velocity, nothing else: the same calls from the same `reset` give the same
-bits.
+State is the last commanded position and velocity and the tool velocity that came of it, nothing else: the same calls
+from the same `reset` give the same bits.
 """
 
 from __future__ import annotations
@@ -14,15 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ik_controller.control.bounded import bounded_velocity
-from ik_controller.control.kernel import braking_factor, tool_cycle, within
+from ik_controller.control.bounded import CLOSEST
+from ik_controller.control.kernel import NOT_FINITE, bounded_cycle, braking_factor, tool_cycle
 from ik_controller.control.law import BRAKING_SHARE, Law
 from ik_controller.control.limits import JointLimits
 from ik_controller.control.reference import Reference
-from ik_controller.control.status import Code, Limit, Status
+from ik_controller.control.status import LIMITS, Code, Limit, Status
 from ik_controller.errors import ArgumentError, ParameterError, choices
 from ik_controller.kinematics.model import RobotModel
-from ik_controller.kinematics.small import gram, spectrum
 from ik_controller.parameters import ControllerParameters, gain_matrix
 
 Array = NDArray[np.float64]
@@ -51,10 +50,10 @@ class Controller:
     def __init__(self, model: RobotModel, parameters: ControllerParameters | None = None) -> None:
         """Raises ParameterError where a list's length does not fit the model's joints."""
         self.model = model
-        self._q = np.zeros(model.n)
+        self._n = model.n
         self._started = False  # has there been a `reset`?
-        self._v = np.zeros(model.n)
         self._fresh = False
+        self._keep(np.zeros(2 * model.n + 6))
         self.parameters = ControllerParameters()
         self.set_parameters(parameters or self.parameters)
 
@@ -90,21 +89,22 @@ class Controller:
         position = np.array(q, dtype=float)
         if position.shape != (self.model.n,) or not np.isfinite(position).all():
             raise ArgumentError(f"q: need {self.model.n} finite values, got {position.tolist()}")
-        self._q = position
-        self._v = np.zeros(self.model.n)
+        self._keep(np.concatenate((position, np.zeros(self._n + 6))))
         self._started = self._fresh = True
+
+    def _keep(self, state: Array) -> None:
+        """Take a new state (2n + 6,): position, velocity, tool velocity."""
+        n = self._n
+        self._state, self._q, self._v = state, state[:n], state[n : 2 * n]
 
     def state(self) -> dict[str, Any]:
         """Return the state as JSON types, for `restore`; floats come back bit for bit."""
-        position = self._q.tolist() if self._started else None
-        return {"position": position, "velocity": self._v.tolist(), "fresh": self._fresh}
+        return {"commanded": self._state.tolist(), "started": self._started, "fresh": self._fresh}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Take a state of `state`."""
-        self._started = state["position"] is not None
-        if self._started:
-            self._q = np.array(state["position"])
-        self._v = np.array(state["velocity"])
+        self._keep(np.array(state["commanded"], dtype=float))
+        self._started = bool(state["started"])
         self._fresh = bool(state["fresh"])
 
     def step(self, q_measured: Array | None, reference: Reference | None, dt: float) -> Step:
@@ -131,12 +131,12 @@ class Controller:
             return Step(q, v, error, Status(code))
 
         base, limits = self.parameters.integration_base, self._limits
-        bounds = limits.bounds
+        table = limits.table
         if base == "bounded" and q_measured is not None:
-            bounds = limits.bounds_around(q_measured, self.parameters.max_deviation)
+            table = limits.table_around(q_measured, self.parameters.max_deviation)
         if reference is not None and not reference.in_joint_space and q_measured is not None:
-            return self._follow_tool(reference, q_measured if base == "measured" else q, dt, bounds)
-        limits.update(q, v, dt, bounds)
+            return self._follow_tool(reference, q_measured if base == "measured" else q, dt, table)
+        limits.update(q, v, dt, table)
         if q_measured is None:
             return self._stop(dt, Code.NO_FEEDBACK)
         if reference is None or not reference.in_joint_space:
@@ -145,58 +145,34 @@ class Controller:
 
     # -- the three ways to move
 
-    def _follow_tool(self, reference: Reference, at: Array, dt: float, bounds: Array) -> Step:
-        law, limits = self._law, self._limits
-        target, turned, twist = reference.position, reference.rotation, reference.twist
-        pose = _NO_POSE if target is None or turned is None else (target, turned)
-        has_pose = pose is not _NO_POSE
-        measure = has_pose and law.exponential
-        error, feedback = (np.zeros(6), _ZERO) if measure or not has_pose else law.observe(reference, at)
+    def _follow_tool(self, reference: Reference, at: Array, dt: float, table: Array) -> Step:
+        law, n, reserve = self._law, self._n, self._limits.reserve
+        position, rotation, twist = reference.position, reference.rotation, reference.twist
+        has_pose = position is not None and rotation is not None
+        if position is None or rotation is None:
+            position, rotation = _NO_POSE
         if twist is None or (has_pose and not law.feed_forward):
             twist = _ZERO
-        command = np.empty((2, self.model.n))
-        fits, sigma = tool_cycle(
-            law.chain,
-            at,
-            pose,
-            measure,
-            feedback,
-            twist,
-            law.constants,
-            self._q,
-            self._v,
-            dt,
-            (bounds, limits.velocity_twice, limits.acceleration_twice),
-            law.work,
-            error,
-            command,
+        measure = has_pose and law.in_kernel
+        error, feedback = law.observe(reference, at) if has_pose and not measure else (_ZERO, _ZERO)
+        out = np.empty(2 * n + 12)
+        how, scale, joint, limit, sigma = tool_cycle(
+            law.chain, law.table, table, self._state, at, position, rotation, twist, feedback, measure, reserve, dt, out
         )
-        wanted, position = command[0], command[1]
-        jacobian, reach = law.work
-        damped = sigma < law.threshold
         if law.by_name:
-            if measure:
-                feedback = law.constants[0].dot(error)
             with contextlib.suppress(ArgumentError):  # at a singularity: the damped velocity it is
-                wanted = law.named_velocity(twist, feedback, at)
-                position = self._q + dt * wanted
-                fits = within(wanted, reach)
-        if limits.reserve:
-            reach = limits.stop_in_time(reach, self._q, self._v, dt)
-            fits = within(wanted, reach)
-        if fits:
-            self._q, self._v = position, wanted
-            return Step(position, wanted, error, Status(Code.TRACKING, 1.0, Limit.NONE, -1, damped, sigma))
-        limits.take(reach)
-        if not math.isfinite(wanted.dot(wanted)):
+                jacobian = law.jacobian(at + 0.5 * dt * self._v)
+                wanted = law.named_velocity(jacobian, twist, feedback, at)
+                how, scale, joint, limit = bounded_cycle(wanted, jacobian, table, self._state, reserve, dt, out)
+        if not measure:
+            out[2 * n + 6 :] = error
+        if how == NOT_FINITE:
+            self._limits.update(self._q, self._v, dt, table)
             return self._stop(dt, Code.HOLDING)
-        velocity, scale, _ = bounded_velocity(
-            wanted, jacobian, *spectrum(gram(jacobian)), limits.low, limits.high, limits.velocity
-        )
-        beyond = np.fmax(wanted - limits.high, limits.low - wanted)
-        joint = int(np.argmax(beyond / limits.velocity))
-        limit = limits.which(joint, wanted.item(joint), self._v, dt)
-        return self._commit(velocity, dt, error, Status(Code.TRACKING, scale, limit, joint, damped, sigma))
+        self._keep(out)
+        damped = sigma < law.threshold
+        status = Status(Code.TRACKING, scale, LIMITS[limit], joint, damped, sigma, how != CLOSEST)
+        return Step(self._q, self._v, out[2 * n + 6 :], status)
 
     def _follow_joints(self, joints: Array, reference: Reference, dt: float) -> Step:
         """Joint-space target: q̇ = q̇_d + K (q_d − q), slowed as one where a joint must brake or is at a limit."""
@@ -231,6 +207,8 @@ class Controller:
         return self._commit(velocity, dt, np.zeros(6), Status(code))
 
     def _commit(self, velocity: Array, dt: float, error: Array, status: Status) -> Step:
-        self._v = velocity
-        self._q = self._q + dt * velocity
-        return Step(self._q, velocity, error, status)
+        tool = _ZERO
+        if velocity.any():
+            tool = self._law.jacobian(self._q + 0.5 * dt * velocity).dot(velocity)
+        self._keep(np.concatenate((self._q + dt * velocity, velocity, tool)))
+        return Step(self._q, self._v, error, status)

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ik_controller.control.bounded import bounded_velocity
 from ik_controller.kinematics.accelerate import compiled
 from ik_controller.kinematics.damped_inverse import damped_gram_inverse
-from ik_controller.kinematics.levenberg_marquardt import kinematics, rotation_log
+from ik_controller.kinematics.levenberg_marquardt import kinematics, kinematics_pose, rotation_log
 from ik_controller.kinematics.rotation_exp import rotation_exp
 from ik_controller.kinematics.small import gram, times, transposed_times
 
@@ -26,27 +27,58 @@ FASTEST_APPROACH = 1.5  # [m/s]
 FASTEST_TURN = 3.0  # [rad/s]
 
 
-@compiled
-def velocity_interval(q: Array, v: Array, dt: float, bounds: Array, velocity: Array, acceleration: Array) -> Array:
-    """Return the velocities (2n,) that each joint may reach upward (first n) and downward (last n, negated).
+# Rows of the table of limits (5, 2n); each holds its values upward (first n) and downward (last n).
+BOUNDS = 0  # upper limits, then negated lower ones: those of this cycle [rad or m]
+VELOCITY = 1
+ACCELERATION = 2
+JOINT_BOUNDS = 3  # the model's own
+FULL_ACCELERATION = 4  # the model's own
 
-    q, v (n,): the commanded state; dt [s]; `bounds` (2n,): upper limits, then negated lower ones; `velocity`,
-    `acceleration` (2n,): the limits, twice.
+# Rows of the table of the law (10, max(n, 6)): K (6, 6), scalars, and what is given for each joint.
+SCALARS = 6  # largest eigenvalue of K, gain of the posture, λ, ε
+BRAKING = 7  # accelerations that the approach plans its braking with
+POSTURE = 8
+SEEK_LIMIT = 9  # at most so fast towards the posture
+
+# Why a velocity was not reached: codes of `status.Limit` in its order.
+FREE, BY_VELOCITY, BY_ACCELERATION, BY_POSITION, BY_JERK, BY_TOOL_SPEED, BY_TOOL_ACCELERATION, BY_ROW = range(8)
+# How the velocity was found: 0 to 2 as in `bounded`, with s = 1 where no limit was met.
+NOT_FINITE = -1
+
+
+@compiled
+def velocity_interval(q: Array, v: Array, dt: float, limits: Array, reserve: bool, reach: Array) -> None:
+    """Write the velocities (2n,) that each joint may reach upward (first n) and downward (last n, negated).
+
+    q, v (n,): the commanded state; dt [s]; `limits` (5, 2n). With `reserve`, an acceleration limit below the model's
+    own is left where only the model's own still stops a joint before its bound.
     """
     n = q.shape[0]
-    reach = np.empty(2 * n)
     for i in range(2 * n):
         sign, joint = (1.0, i) if i < n else (-1.0, i - n)
-        speed, a = sign * v[joint], acceleration[i]
-        room = min(max(bounds[i] - sign * q[joint], 0.0), ENDLESS)
-        # a (√(dt² + 2 room/a) − dt) in the form that loses no digits near the bound and serves an infinite a too.
-        far = (2.0 * room) / (math.sqrt(dt * dt + (2.0 * room) / a) + dt)
-        # Rounding may ask for a little more than the room: never step over the bound.
-        far = min(min(far, room * (1.0 / dt)), velocity[i])
-        # Acceleration comes last: it always holds; the others do as long as they held before (or shrink to it).
-        step = a * dt
-        reach[i] = min(max(far, speed - step), speed + step)
-    return reach
+        reach[i] = fastest_stoppable(
+            sign * q[joint], sign * v[joint], dt, limits[BOUNDS, i], limits[VELOCITY, i], limits[ACCELERATION, i]
+        )
+    if reserve:
+        for i in range(n):
+            up, down = limits[JOINT_BOUNDS, i], limits[JOINT_BOUNDS, n + i]
+            highest = fastest_stoppable(q[i], v[i], dt, up, math.inf, limits[FULL_ACCELERATION, i])
+            lowest = -fastest_stoppable(-q[i], -v[i], dt, down, math.inf, limits[FULL_ACCELERATION, n + i])
+            reach[i] = min(max(reach[i], lowest), highest)
+            reach[n + i] = min(max(reach[n + i], -highest), -lowest)
+
+
+@compiled
+def fastest_stoppable(q: float, v: float, dt: float, bound: float, velocity: float, acceleration: float) -> float:
+    """Return the largest velocity from which a joint at q, v still stops at its upper bound (see `limits`)."""
+    room = min(max(bound - q, 0.0), ENDLESS)
+    # a (√(dt² + 2 room/a) − dt) in the form that loses no digits near the bound and serves an infinite a too.
+    far = (2.0 * room) / (math.sqrt(dt * dt + (2.0 * room) / acceleration) + dt)
+    # Rounding may ask for a little more than the room: never step over the bound.
+    far = min(min(far, room * (1.0 / dt)), velocity)
+    # Acceleration comes last: it always holds; the others do as long as they held before (or shrink to it).
+    step = acceleration * dt
+    return min(max(far, v - step), v + step)
 
 
 @compiled
@@ -57,6 +89,20 @@ def within(wanted: Array, reach: Array) -> bool:
         if not (wanted[i] <= reach[i] and -wanted[i] <= reach[n + i]):
             return False
     return True
+
+
+@compiled
+def held_by(joint: int, wanted: float, v: Array, dt: float, limits: Array, reach: Array) -> int:
+    """Return which limit of `joint` keeps it from the `wanted` velocity."""
+    n = v.shape[0]
+    up = wanted > 0.5 * (reach[joint] - reach[n + joint])
+    bound = reach[joint] if up else -reach[n + joint]
+    acceleration, velocity = limits[ACCELERATION, joint], limits[VELOCITY, joint]
+    if abs(abs(bound - v[joint]) - acceleration * dt) < 1e-9 * acceleration:
+        return BY_ACCELERATION
+    if abs(abs(bound) - velocity) < 1e-9 * velocity:
+        return BY_VELOCITY
+    return BY_POSITION
 
 
 @compiled
@@ -71,85 +117,160 @@ def braking_factor(approach: Array, fastest: float, acceleration: Array) -> floa
 
 
 @compiled
-def unhurried(feedback: Array, sigma: float, threshold: float) -> Array:
-    """Return K e (6,), slowed while σ_min is below 4 ε, and in full below 2 ε.
+def unhurried(feedback: Array, sigma: float, threshold: float) -> float:
+    """Return the share of K e (6,) that is followed: less than 1 while σ_min is below 4 ε, in full below 2 ε.
 
     A target beyond reach has a large e for good: J⁺ K e then changes sign at the stretched arm faster than the joints
     can brake, and throws the arm through the singularity again and again.
     """
     if sigma >= 4.0 * threshold:
-        return feedback
+        return 1.0
     near = min(2.0 - 0.5 * sigma / threshold, 1.0)
-    haste = max(np.max(np.abs(feedback[:3])) / FASTEST_APPROACH, np.max(np.abs(feedback[3:])) / FASTEST_TURN, 1.0)
-    slowed: Array = feedback / (1.0 + near * (haste - 1.0))
-    return slowed
+    haste = 1.0
+    for i in range(3):
+        haste = max(haste, abs(feedback[i]) / FASTEST_APPROACH, abs(feedback[3 + i]) / FASTEST_TURN)
+    return 1.0 / (1.0 + near * (haste - 1.0))
 
 
 @compiled
 def task_velocity(
-    jacobian: Array,
-    inverse: Array,
-    feed_forward: Array,
-    feedback: Array,
-    fastest: float,
-    braking: Array,
-    seek: Array,
-    seek_limit: Array,
+    jacobian: Array, inverse: Array, feed_forward: Array, feedback: Array, share: float, law: Array, at: Array
 ) -> Array:
     """Return J⁺(ẋ_d + β K e) + (I − J⁺J) q̇₀ (n,), with J⁺ = Jᵀ · `inverse`.
 
-    `feed_forward` ẋ_d and `feedback` K e (6,); `fastest` the largest eigenvalue of K; `braking` (n,) the accelerations
-    that β plans with; `seek` (n,) = q̇₀, slowed as a whole to stay below `seek_limit` (n,).
+    `feed_forward` ẋ_d and `feedback` (6,), of which `share` is K e; `law` as above; q̇₀ leads from `at` (n,) to the
+    posture, slowed as a whole to its limits.
     """
-    approach = transposed_times(jacobian, times(inverse, feedback))
-    null = seek / max(np.max(np.abs(seek) / seek_limit), 1.0)
-    steady = null + transposed_times(jacobian, times(inverse, feed_forward - times(jacobian, null)))
-    return steady + braking_factor(approach, fastest, braking) * approach
+    m, n = jacobian.shape
+    gain, seek, ratio = law[SCALARS, 1], np.empty(n), 1.0
+    for j in range(n):
+        seek[j] = gain * (law[POSTURE, j] - at[j])
+        ratio = max(ratio, abs(seek[j]) / law[SEEK_LIMIT, j])
+    steady, approach = np.empty(m), np.empty(m)
+    for i in range(m):
+        steady[i], approach[i] = feed_forward[i], share * feedback[i]
+        for j in range(n):
+            steady[i] -= jacobian[i, j] * (seek[j] / ratio)
+    steady, approach = times(inverse, steady), times(inverse, approach)
+    approach = transposed_times(jacobian, approach)
+    beta = braking_factor(approach, law[SCALARS, 0], law[BRAKING])
+    result = transposed_times(jacobian, steady)
+    for j in range(n):
+        result[j] += seek[j] / ratio + beta * approach[j]
+    return result
 
 
 @compiled
 def tool_cycle(
     chain: Any,
+    law: Array,
+    limits: Array,
+    state: Array,
     at: Array,
-    pose: tuple[Array, Array],
-    measure: bool,
+    position: Array,
+    rotation: Array,
+    twist: Array,
     feedback: Array,
-    feed_forward: Array,
-    law: tuple[Array, float, Array, Array, float, Array, float, float],
-    q: Array,
-    v: Array,
+    measure: bool,
+    reserve: bool,
     dt: float,
-    limits: tuple[Array, Array, Array],
-    work: tuple[Array, Array],
-    error: Array,
-    command: Array,
-) -> tuple[bool, float]:
-    """Write one cycle towards a tool reference; return (fits, σ_min).
+    out: Array,
+    rows: Any = None,
+    row_bounds: Any = None,
+) -> tuple[int, float, int, int, float]:
+    """Write one cycle towards a tool reference to `out` and return (how, s, joint, limit, σ_min).
 
-    `command` (2, n): the law's velocity, and the position it leads to; `fits`: that velocity is in the
-    `velocity_interval`, the second of `work`, J (6, n) and (2n,). `error` e (6,) and K e are worked out where
-    `measure`, else K e is `feedback`. `chain` as `kinematics` takes it; `at` (n,): where e and J are taken; `pose`
-    (position (3,), rotation (3, 3)) of the reference; `law`: K (6, 6), its largest eigenvalue, braking accelerations
-    (n,), posture (n,), its gain, seek limits (n,), λ, ε; `limits`: bounds, velocities, accelerations, (2n,) each. What
-    is written is passed in because Numba takes an array in ten times faster than it gives one back.
+    `state` (2n + 6,): q, v and the tool's velocity of the last cycle; `out` (2n + 12,): the same after this cycle, and
+    the error e. Where `measure`, e and K e are worked out against `position` (3,) and `rotation` (3, 3), else K e is
+    `feedback` (6,). `at` (n,): where e and J are taken; `twist` ẋ_d (6,). `rows` G (k, n) and `row_bounds` g (k,) add
+    G q̇ ≤ g. Few arrays, because Numba takes 0.1 µs or more to take in each.
     """
-    gain, fastest, braking, posture, posture_gain, seek_limit, damping, threshold = law
-    jacobian, reach = work
-    rotation, position = np.empty((3, 3)), np.empty(3)
+    n = at.shape[0]
+    middle, jacobian = np.empty(n), np.empty((6, n))
+    tool, turn, error = np.empty(3), np.empty((3, 3)), out[2 * n + 6 :]
     if measure:
-        kinematics(chain, at, rotation, position, jacobian)
-        error[:3] = pose[0] - position
-        rotation_log(pose[1], rotation, error[3:])
-        feedback = times(gain, error)
-    kinematics(chain, at + (0.5 * dt) * v, rotation, position, jacobian)
-    inverse, sigma = damped_gram_inverse(gram(jacobian), damping, threshold)
-    feedback = unhurried(feedback, sigma, threshold)
-    seek = posture_gain * (posture - at)
-    wanted = task_velocity(jacobian, inverse, feed_forward, feedback, fastest, braking, seek, seek_limit)
-    reach[:] = velocity_interval(q, v, dt, limits[0], limits[1], limits[2])
-    command[0] = wanted
-    command[1] = q + dt * wanted
-    return within(wanted, reach), sigma
+        kinematics_pose(chain, at, turn, tool)
+        for i in range(3):
+            error[i] = position[i] - tool[i]
+        rotation_log(rotation, turn, error[3:])
+        feedback = times(law[:6, :6], error)
+    for j in range(n):
+        middle[j] = at[j] + 0.5 * dt * state[n + j]
+    kinematics(chain, middle, turn, tool, jacobian)
+    threshold = law[SCALARS, 3]
+    inverse, sigma = damped_gram_inverse(gram(jacobian), law[SCALARS, 2], threshold)
+    share = unhurried(feedback, sigma, threshold)
+    wanted = task_velocity(jacobian, inverse, twist, feedback, share, law, at)
+    how, scale, joint, limit = bounded_cycle(wanted, jacobian, limits, state, reserve, dt, out, rows, row_bounds)
+    return how, scale, joint, limit, sigma
+
+
+@compiled
+def bounded_cycle(
+    wanted: Array,
+    jacobian: Array,
+    limits: Array,
+    state: Array,
+    reserve: bool,
+    dt: float,
+    out: Array,
+    rows: Any = None,
+    row_bounds: Any = None,
+) -> tuple[int, float, int, int]:
+    """Write the state (2n + 6,) that `wanted` (n,) leads to within the limits; return (how, s, joint, limit).
+
+    J (6, n); the rest as in `tool_cycle`.
+    """
+    n = wanted.shape[0]
+    q, v = state[:n], state[n : 2 * n]
+    how, scale, joint, limit = 0, 1.0, -1, FREE
+    reach = np.empty(2 * n)
+    velocity_interval(q, v, dt, limits, reserve, reach)
+    fits = within(wanted, reach)
+    if rows is not None:
+        joint, limit = row_beyond(wanted, rows, row_bounds)
+        fits = fits and joint < 0
+    velocity = wanted
+    if not fits:
+        excess = 0.0
+        for j in range(n):
+            if not math.isfinite(wanted[j]):
+                return NOT_FINITE, 0.0, j, FREE
+            over = max(wanted[j] - reach[j], -wanted[j] - reach[n + j]) / limits[VELOCITY, j]
+            if over > excess:
+                excess, joint = over, j
+        if excess > 0.0:
+            limit = held_by(joint, wanted[joint], v, dt, limits, reach)
+        velocity, step = np.empty(n), np.empty(n)
+        for j in range(n):
+            step[j] = limits[ACCELERATION, j] * dt
+        low, high = -reach[n:], reach[:n]
+        g, bounds = (np.empty((0, n)), np.empty(0)) if rows is None else (rows, row_bounds)
+        scale, how = bounded_velocity(
+            wanted, jacobian, state[2 * n :], low, high, limits[VELOCITY, :n], step, g, bounds, velocity
+        )
+    for j in range(n):
+        out[j] = q[j] + dt * velocity[j]
+        out[n + j] = velocity[j]
+    for i in range(6):
+        total = 0.0
+        for j in range(n):
+            total += jacobian[i, j] * velocity[j]
+        out[2 * n + i] = total
+    return how, scale, joint, limit
+
+
+@compiled
+def row_beyond(wanted: Array, rows: Array, bounds: Array) -> tuple[int, int]:
+    """Return (row, BY_ROW) of G q̇ ≤ g that `wanted` (n,) oversteps by most, (−1, FREE) where it keeps all."""
+    worst, found = 0.0, -1
+    for i in range(bounds.shape[0]):
+        over = -bounds[i]
+        for j in range(wanted.shape[0]):
+            over += rows[i, j] * wanted[j]
+        if over > worst:
+            worst, found = over, i
+    return found, FREE if found < 0 else BY_ROW
 
 
 @compiled

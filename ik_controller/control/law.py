@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ik_controller.control.kernel import braking_factor
+from ik_controller.control.kernel import BRAKING, POSTURE, SCALARS, SEEK_LIMIT, braking_factor
 from ik_controller.control.reference import Reference
 from ik_controller.errors import ArgumentError, ParameterError
 from ik_controller.kinematics.inverses import INVERSES, inverse
-from ik_controller.kinematics.levenberg_marquardt import solver_chain
+from ik_controller.kinematics.levenberg_marquardt import kinematics, solver_chain
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.kinematics.orientation_error import DEFAULT_ORIENTATION_ERROR, ORIENTATION_ERRORS
 from ik_controller.parameters import ControllerParameters, gain_matrix
@@ -38,9 +38,8 @@ _POSTURE_SHARE = 0.2
 
 
 class Law:
-    """The law's constants for one model and one set of parameters, in the form that `kernel.tool_cycle` takes.
-
-    `work` holds the last cycle's J (6, n) and velocity interval (2n,).
+    """The law's constants for one model and one set of parameters: `chain` and `table` as `kernel.tool_cycle` takes
+    them.
     """
 
     def __init__(self, model: RobotModel, parameters: ControllerParameters) -> None:
@@ -56,24 +55,23 @@ class Law:
         self.feed_forward = parameters.feed_forward
         self.threshold = parameters.singular_value_threshold
         self.chain = solver_chain(model)
-        self.work = np.zeros((6, n)), np.zeros(2 * n)
-        self.constants = (
-            gain,
-            float(rates.max()),
-            BRAKING_SHARE * model.acceleration_limit * parameters.acceleration_scale,
-            np.array(parameters.posture) if parameters.posture else np.zeros(n),
+        self.table = np.zeros((10, max(n, 6)))  # rows as `kernel` numbers them
+        self.table[:6, :6] = gain
+        self.table[SCALARS, :4] = (
+            rates.max(),
             parameters.posture_gain if parameters.posture else 0.0,
-            _POSTURE_SHARE * model.velocity_limit * parameters.velocity_scale,
             parameters.damping,
             parameters.singular_value_threshold,
         )
+        self.table[BRAKING, :n] = BRAKING_SHARE * model.acceleration_limit * parameters.acceleration_scale
+        self.table[POSTURE, :n] = parameters.posture if parameters.posture else 0.0
+        self.table[SEEK_LIMIT, :n] = _POSTURE_SHARE * model.velocity_limit * parameters.velocity_scale
         self._model = model
         self._gain = gain
         self._error = ORIENTATION_ERRORS[parameters.orientation_error]
-        # The default error is worked out inside the kernel.
-        self.exponential = parameters.orientation_error == DEFAULT_ORIENTATION_ERROR
-
         self.by_name = parameters.inverse != DEFAULT_INVERSE
+        # The default error is worked out inside the kernel.
+        self.in_kernel = parameters.orientation_error == DEFAULT_ORIENTATION_ERROR and not self.by_name
         self._method, self._options = parameters.inverse, _options(parameters)
         if self.by_name:
             try:
@@ -81,19 +79,24 @@ class Law:
             except ArgumentError as wrong:
                 raise ParameterError(f"inverse = '{self._method}' does not fit this arm: {wrong}") from None
 
-    def named_velocity(self, feed_forward: Array, feedback: Array, at: Array) -> Array:
-        """Return J#(ẋ_d + β K e) + (I − J#J) q̇₀ (n,) with the inverse that the parameters name, for the last cycle's J.
+    def named_velocity(self, jacobian: Array, feed_forward: Array, feedback: Array, at: Array) -> Array:
+        """Return J#(ẋ_d + β K e) + (I − J#J) q̇₀ (n,) with the inverse that the parameters name, for J (6, n).
 
         Raises ArgumentError where that inverse does not exist, as at a singularity.
         """
-        _, fastest, braking, posture, posture_gain, seek_limit, _, _ = self.constants
-        jacobian = self.work[0]
+        n, table = at.size, self.table
         sharp = inverse(jacobian, self._method, **self._options)
         approach = sharp @ feedback
-        seek = posture_gain * (posture - at)
-        null = seek / max(float(np.max(np.abs(seek) / seek_limit)), 1.0)
+        seek = table[SCALARS, 1] * (table[POSTURE, :n] - at)
+        null = seek / max(float(np.max(np.abs(seek) / table[SEEK_LIMIT, :n])), 1.0)
         steady: Array = null + sharp @ (feed_forward - jacobian @ null)
-        return steady + braking_factor(approach, fastest, braking) * approach
+        return steady + braking_factor(approach, table[SCALARS, 0], table[BRAKING, :n]) * approach
+
+    def jacobian(self, q: Array) -> Array:
+        """Return J (6, n) of the tool at q (n,)."""
+        jacobian = np.empty((6, q.size))
+        kinematics(self.chain, q, np.empty((3, 3)), np.empty(3), jacobian)
+        return jacobian
 
     def observe(self, reference: Reference, q: Array) -> tuple[Array, Array]:
         """Return (e (6,), K e (6,)) at q (n,): e = reference ⊖ tool [m, rad]; zeros where the reference has no pose."""

@@ -18,8 +18,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ik_controller.control.kernel import velocity_interval
-from ik_controller.control.status import Limit
+from ik_controller.control.kernel import BOUNDS, held_by, velocity_interval
+from ik_controller.control.status import LIMITS, Limit
 from ik_controller.kinematics.model import RobotModel
 
 Array = NDArray[np.float64]
@@ -35,47 +35,42 @@ class JointLimits:
         """Take limits from the model; the scales multiply speed and acceleration."""
         self.velocity: Array = model.velocity_limit * velocity_scale
         self.acceleration: Array = model.acceleration_limit * acceleration_scale
-        self.bounds = np.concatenate((model.upper, -model.lower))
-        self.velocity_twice = np.concatenate((self.velocity, self.velocity))
-        self.acceleration_twice = np.concatenate((self.acceleration, self.acceleration))
+        own = np.concatenate((model.upper, -model.lower))
+        # Rows as `kernel` numbers them.
+        self.table = np.vstack(
+            (
+                own,
+                np.tile(self.velocity, 2),
+                np.tile(self.acceleration, 2),
+                own,
+                np.tile(model.acceleration_limit, 2),
+            )
+        )
         self.reserve = acceleration_scale < 1.0  # does the scale hold back some of the model's own acceleration?
-        self._all_acceleration = np.concatenate((model.acceleration_limit, model.acceleration_limit))
-        self._any_velocity = np.full(2 * model.n, np.inf)
         self._n = model.n
+        self._reach = np.concatenate((self.velocity, self.velocity))
+        self._used = self.table
         self.low = -self.velocity
         self.high = self.velocity.copy()
 
-    def update(self, q: Array, v: Array, dt: float, bounds: Array) -> None:
+    def update(self, q: Array, v: Array, dt: float, table: Array) -> None:
         """Set `low` and `high` for the cycle that starts at the commanded q (n,) with velocity v (n,), dt [s] long.
 
-        `bounds` (2n,): `self.bounds`, or narrower ones of `bounds_around`.
+        `table`: `self.table`, or a narrower one of `table_around`.
         """
-        reach = velocity_interval(q, v, dt, bounds, self.velocity_twice, self.acceleration_twice)
-        self.take(self.stop_in_time(reach, q, v, dt) if self.reserve else reach)
+        velocity_interval(q, v, dt, table, self.reserve, self._reach)
+        self._used = table
+        self.high = self._reach[: self._n]
+        self.low = -self._reach[self._n :]
 
-    def stop_in_time(self, reach: Array, q: Array, v: Array, dt: float) -> Array:
-        """Return `reach` (2n,) moved to where braking with the reserve still stops within the joints' bounds."""
-        latest: Array = velocity_interval(q, v, dt, self.bounds, self._any_velocity, self._all_acceleration)
-        opposite = -np.concatenate((latest[self._n :], latest[: self._n]))
-        result: Array = np.minimum(np.maximum(reach, opposite), latest)
-        return result
-
-    def take(self, reach: Array) -> None:
-        """Set `low` and `high` from a result (2n,) of `velocity_interval`."""
-        self.high = reach[: self._n]
-        self.low = -reach[self._n :]
-
-    def bounds_around(self, q: Array, deviation: float) -> Array:
-        """Return bounds (2n,) that also keep within `deviation` of q (n,); they move, so braking may overrun them."""
-        result: Array = np.fmin(self.bounds, np.concatenate((q + deviation, deviation - q)))
-        return result
+    def table_around(self, q: Array, deviation: float) -> Array:
+        """Return a table whose bounds also keep within `deviation` of q (n,); they move, so braking may overrun
+        them.
+        """
+        table: Array = self.table.copy()
+        table[BOUNDS] = np.fmin(table[BOUNDS], np.concatenate((q + deviation, deviation - q)))
+        return table
 
     def which(self, joint: int, wanted: float, v: Array, dt: float) -> Limit:
         """Return which limit of `joint` keeps it from the `wanted` velocity; for the status."""
-        up = wanted > 0.5 * (self.high.item(joint) + self.low.item(joint))
-        bound = self.high.item(joint) if up else self.low.item(joint)
-        if abs(abs(bound - v.item(joint)) - self.acceleration.item(joint) * dt) < 1e-9 * self.acceleration.item(joint):
-            return Limit.ACCELERATION
-        if abs(abs(bound) - self.velocity.item(joint)) < 1e-9 * self.velocity.item(joint):
-            return Limit.VELOCITY
-        return Limit.POSITION
+        return LIMITS[held_by(joint, wanted, v, dt, self._used, self._reach)]

@@ -44,6 +44,8 @@ class Limit(Enum):
     SELF_COLLISION = "self collision"
 
 
+LIMITS = tuple(Limit)  # by the codes of the kernel, which counts them in this order
+
 _AT_LIMIT = {
     Limit.TOOL_SPEED: "the tool's speed limit",
     Limit.TOOL_ACCELERATION: "the tool's acceleration limit",

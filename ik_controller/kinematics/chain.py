@@ -16,7 +16,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ik_controller.kinematics.accelerate import compiled
-from ik_controller.kinematics.model import RobotModel, frame_jacobian
+from ik_controller.kinematics.model import RobotModel, frame_jacobian, frame_pose
 
 Array = NDArray[np.float64]
 
@@ -77,55 +77,105 @@ def _extract(model: RobotModel) -> Chain:
     return Chain(rotation, translation, prismatic, leader.astype(np.int64), factor, offset)
 
 
+def table_of(model: RobotModel) -> Array:
+    """Return the model's chain as one table (m + 1, 16), a row a joint and the tool last: one array is what a compiled
+    function takes in fastest.
+
+    Columns: rotation (9) by rows, translation (3), prismatic (1 or 0), leader, factor, offset.
+    """
+    chain = chain_of(model)
+    m = chain.leader.size
+    table = np.zeros((m + 1, 16))
+    table[:, :9] = chain.rotation.reshape(m + 1, 9)
+    table[:, 9:12] = chain.translation
+    for column, values in enumerate((chain.prismatic, chain.leader, chain.factor, chain.offset)):
+        table[:m, 12 + column] = values
+    return table
+
+
 @compiled
-def chain_kinematics(chain: tuple[Any, ...], q: Array, rotation: Array, position: Array, jacobian: Array) -> None:
+def chain_pose(chain: Array, q: Array, rotation: Array, position: Array) -> None:
+    """Write the tool's rotation (3, 3) and position (3,) [m] at q (n,); `chain` of `table_of`."""
+    m = chain.shape[0] - 1
+    axes, points = np.empty((m, 3)), np.empty((m, 3))
+    _walk(chain, q, rotation, position, axes, points)
+
+
+@compiled
+def chain_kinematics(chain: Array, q: Array, rotation: Array, position: Array, jacobian: Array) -> None:
     """Write the tool's rotation (3, 3), position (3,) [m] and basic Jacobian J₀ (6, n), (v, ω) in base axes, at q (n,).
 
-    `chain`: a Chain as plain tuple, which a compiled function takes twice as fast.
+    Column of a joint with axis a through c, driven by its coordinate with `factor` f: f (a × (p − c), a), or f (a, 0).
     """
-    rotations, translations, prismatic, leader, factor, offset = chain
-    m = leader.shape[0]
-    axes = np.empty((m, 3))
-    points = np.empty((m, 3))
-    r, p = np.zeros((3, 3)), np.zeros(3)
-    r[0, 0] = r[1, 1] = r[2, 2] = 1.0
-    fixed = np.empty((3, 3))
-    for k in range(m + 1):
-        for i in range(3):
-            p[i] += r[i, 0] * translations[k, 0] + r[i, 1] * translations[k, 1] + r[i, 2] * translations[k, 2]
-            for j in range(3):
-                fixed[i, j] = r[i, 0] * rotations[k, 0, j] + r[i, 1] * rotations[k, 1, j] + r[i, 2] * rotations[k, 2, j]
-        if k == m:
-            break
-        value = factor[k] * q[leader[k]] + offset[k]
-        c, s = (1.0, 0.0) if prismatic[k] else (math.cos(value), math.sin(value))
-        for i in range(3):
-            r[i, 0] = c * fixed[i, 0] + s * fixed[i, 1]
-            r[i, 1] = c * fixed[i, 1] - s * fixed[i, 0]
-            r[i, 2] = fixed[i, 2]
-            axes[k, i] = fixed[i, 2]
-            points[k, i] = p[i]
-            if prismatic[k]:
-                p[i] += value * fixed[i, 2]
-    for i in range(3):
-        position[i] = p[i]
-        for j in range(3):
-            rotation[i, j] = fixed[i, j]
+    m = chain.shape[0] - 1
+    axes, points = np.empty((m, 3)), np.empty((m, 3))
+    _walk(chain, q, rotation, position, axes, points)
     for i in range(6):
         for j in range(jacobian.shape[1]):
             jacobian[i, j] = 0.0
     for k in range(m):
-        column, gain = leader[k], factor[k]
-        if prismatic[k]:
-            for i in range(3):
-                jacobian[i, column] += gain * axes[k, i]
+        column, gain = int(chain[k, 13]), chain[k, 14]
+        ax, ay, az = gain * axes[k, 0], gain * axes[k, 1], gain * axes[k, 2]
+        if chain[k, 12] > 0.0:
+            jacobian[0, column] += ax
+            jacobian[1, column] += ay
+            jacobian[2, column] += az
         else:
-            x, y, z = p[0] - points[k, 0], p[1] - points[k, 1], p[2] - points[k, 2]
-            jacobian[0, column] += gain * (axes[k, 1] * z - axes[k, 2] * y)
-            jacobian[1, column] += gain * (axes[k, 2] * x - axes[k, 0] * z)
-            jacobian[2, column] += gain * (axes[k, 0] * y - axes[k, 1] * x)
-            for i in range(3):
-                jacobian[3 + i, column] += gain * axes[k, i]
+            x, y, z = position[0] - points[k, 0], position[1] - points[k, 1], position[2] - points[k, 2]
+            jacobian[0, column] += ay * z - az * y
+            jacobian[1, column] += az * x - ax * z
+            jacobian[2, column] += ax * y - ay * x
+            jacobian[3, column] += ax
+            jacobian[4, column] += ay
+            jacobian[5, column] += az
+
+
+@compiled
+def _walk(chain: Array, q: Array, rotation: Array, position: Array, axes: Array, points: Array) -> None:
+    """Write the tool's pose and each joint's axis (m, 3) and a point on it (m, 3), in the base frame."""
+    m = chain.shape[0] - 1
+    # The columns x, y, z of the rotation so far, and the position.
+    x0, x1, x2, y0, y1, y2, z0, z1, z2 = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
+    p0, p1, p2 = 0.0, 0.0, 0.0
+    for k in range(m + 1):
+        t = chain[k]
+        p0 += x0 * t[9] + y0 * t[10] + z0 * t[11]
+        p1 += x1 * t[9] + y1 * t[10] + z1 * t[11]
+        p2 += x2 * t[9] + y2 * t[10] + z2 * t[11]
+        u0, u1, u2 = (
+            x0 * t[0] + y0 * t[3] + z0 * t[6],
+            x1 * t[0] + y1 * t[3] + z1 * t[6],
+            x2 * t[0] + y2 * t[3] + z2 * t[6],
+        )
+        v0, v1, v2 = (
+            x0 * t[1] + y0 * t[4] + z0 * t[7],
+            x1 * t[1] + y1 * t[4] + z1 * t[7],
+            x2 * t[1] + y2 * t[4] + z2 * t[7],
+        )
+        z0, z1, z2 = (
+            x0 * t[2] + y0 * t[5] + z0 * t[8],
+            x1 * t[2] + y1 * t[5] + z1 * t[8],
+            x2 * t[2] + y2 * t[5] + z2 * t[8],
+        )
+        if k == m:
+            x0, x1, x2, y0, y1, y2 = u0, u1, u2, v0, v1, v2
+            break
+        axes[k, 0], axes[k, 1], axes[k, 2] = z0, z1, z2
+        points[k, 0], points[k, 1], points[k, 2] = p0, p1, p2
+        value = t[14] * q[int(t[13])] + t[15]
+        if t[12] > 0.0:
+            x0, x1, x2, y0, y1, y2 = u0, u1, u2, v0, v1, v2
+            p0 += value * z0
+            p1 += value * z1
+            p2 += value * z2
+        else:
+            c, s = math.cos(value), math.sin(value)
+            x0, x1, x2 = c * u0 + s * v0, c * u1 + s * v1, c * u2 + s * v2
+            y0, y1, y2 = c * v0 - s * u0, c * v1 - s * u1, c * v2 - s * u2
+    rotation[0, 0], rotation[0, 1], rotation[0, 2] = x0, y0, z0
+    rotation[1, 0], rotation[1, 1], rotation[1, 2] = x1, y1, z1
+    rotation[2, 0], rotation[2, 1], rotation[2, 2] = x2, y2, z2
+    position[0], position[1], position[2] = p0, p1, p2
 
 
 class PinocchioChain:
@@ -140,4 +190,10 @@ def model_kinematics(chain: PinocchioChain, q: Array, rotation: Array, position:
     """Write the same as `chain_kinematics`, by Pinocchio."""
     jacobian[:] = frame_jacobian(chain.model, chain.data, q, chain.model.tool_id)
     tool = chain.data.oMf[chain.model.tool_id]
+    rotation[:], position[:] = tool.rotation, tool.translation
+
+
+def model_pose(chain: PinocchioChain, q: Array, rotation: Array, position: Array) -> None:
+    """Write the same as `chain_pose`, by Pinocchio."""
+    tool = frame_pose(chain.model, chain.data, q, chain.model.tool_id)
     rotation[:], position[:] = tool.rotation, tool.translation

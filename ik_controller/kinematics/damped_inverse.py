@@ -1,4 +1,4 @@
-"""DampedInverse: J⁺ for the control loop, exact away from singularities and damped only in the weak directions.
+"""The damped inverse: J⁺ for the control loop, exact away from singularities and damped only in the weak directions.
 
 With J Jᵀ = U diag(σᵢ²) Uᵀ the damped inverse Jᵀ(J Jᵀ + λ²I)⁻¹ (N5, N12) becomes Jᵀ U diag(1/(σᵢ² + λᵢ²)) Uᵀ, and each
 direction gets its own damping, as in numerical filtering (Maciejewski & Klein 1988; Chiaverini 1997):

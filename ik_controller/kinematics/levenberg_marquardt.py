@@ -23,7 +23,14 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ik_controller.kinematics.accelerate import HAS_NUMBA, compiled
-from ik_controller.kinematics.chain import PinocchioChain, chain_kinematics, chain_of, model_kinematics
+from ik_controller.kinematics.chain import (
+    PinocchioChain,
+    chain_kinematics,
+    chain_pose,
+    model_kinematics,
+    model_pose,
+    table_of,
+)
 from ik_controller.kinematics.model import RobotModel
 
 Array = NDArray[np.float64]
@@ -118,13 +125,15 @@ def damped_step_numpy(jacobian: Array, gradient: Array, free: NDArray[np.bool_],
 
 if HAS_NUMBA:
     kinematics, rotation_log, damped_step = chain_kinematics, rotation_log_kernel, damped_step_kernel
+    kinematics_pose = chain_pose
 else:
     kinematics, rotation_log, damped_step = model_kinematics, rotation_log_pinocchio, damped_step_numpy  # type: ignore[assignment]
+    kinematics_pose = model_pose  # type: ignore[assignment]
 
 
 def solver_chain(model: RobotModel) -> Any:
-    """Return what `descend` takes as its chain: arrays where it is compiled, else a Pinocchio model."""
-    return tuple(chain_of(model)) if HAS_NUMBA else PinocchioChain(model)
+    """Return what `descend` takes as its chain: a table where it is compiled, else a Pinocchio model."""
+    return table_of(model) if HAS_NUMBA else PinocchioChain(model)
 
 
 @compiled

@@ -15,6 +15,7 @@ from ik_controller.kinematics.accelerate import HAS_NUMBA, compiled
 
 Array = NDArray[np.float64]
 
+DEPENDENT = 1e-8  # share of the longest row's square that a row must add to count as another direction
 _SWEEPS = 30  # Jacobi converges quadratically: six or seven are usual
 
 
@@ -140,6 +141,59 @@ def inverse_spd(matrix: Array) -> Array:
             result[i, j] = total
             result[j, i] = total
     return result
+
+
+@compiled
+def row_basis(matrix: Array, basis: Array, order: NDArray[np.int64]) -> int:
+    """Factor M (m, n) as P M = L Qᵀ and return its rank r; `matrix` becomes L, `basis` (n, n) Q, `order` (m,) P's rows.
+
+    The first r columns of Q span what M can reach, the others its null space. Householder reflections, the longest row
+    that is left coming next (Golub and Van Loan, 5.4): rows below 1e-4 of the first count as dependent.
+    """
+    m, n = matrix.shape
+    for i in range(n):
+        for j in range(n):
+            basis[i, j] = 1.0 if i == j else 0.0
+    for i in range(m):
+        order[i] = i
+    longest = 0.0
+    for k in range(min(m, n)):
+        square, pivot = -1.0, k
+        for i in range(k, m):
+            total = 0.0
+            for j in range(k, n):
+                total += matrix[i, j] * matrix[i, j]
+            if total > square:
+                square, pivot = total, i
+        longest = max(longest, square)
+        if square <= DEPENDENT * longest:
+            return k
+        if pivot != k:
+            order[k], order[pivot] = order[pivot], order[k]
+            for j in range(n):
+                matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
+        corner = -math.sqrt(square) if matrix[k, k] > 0.0 else math.sqrt(square)
+        matrix[k, k] -= corner
+        factor = -1.0 / (corner * matrix[k, k])  # 2/|v|² of the reflection's vector v, now row k
+        for i in range(k + 1, m):
+            total = 0.0
+            for j in range(k, n):
+                total += matrix[i, j] * matrix[k, j]
+            total *= factor
+            for j in range(k, n):
+                matrix[i, j] -= total * matrix[k, j]
+        for i in range(n):
+            total = 0.0
+            for j in range(k, n):
+                total += basis[i, j] * matrix[k, j]
+            total *= factor
+            for j in range(k, n):
+                basis[i, j] -= total * matrix[k, j]
+        matrix[k, k] = corner
+        for j in range(k + 1, n):
+            matrix[k, j] = 0.0
+    rank: int = min(m, n)
+    return rank
 
 
 def eigen_spectrum(matrix: Array) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from arms_closed_form import CLOSED_FORMS
 
-from ik_controller.kinematics.chain import PinocchioChain, chain_kinematics, chain_of, model_kinematics
+from ik_controller.kinematics.chain import PinocchioChain, chain_kinematics, model_kinematics, table_of
 from ik_controller.kinematics.levenberg_marquardt import (
     damped_step_kernel,
     damped_step_numpy,
@@ -51,7 +51,7 @@ def test_kernel_equals_pinocchio(name):
             model.set_tool_offset(offset)  # the chain must follow
         for _ in range(20):
             q = rng.uniform(-3.0, 3.0, model.n)
-            by_kernel = evaluate(chain_kinematics, tuple(chain_of(model)), model, q)
+            by_kernel = evaluate(chain_kinematics, table_of(model), model, q)
             by_pinocchio = evaluate(model_kinematics, PinocchioChain(model), model, q)
             assert np.abs(by_kernel - by_pinocchio).max() < 1e-12
 

@@ -460,14 +460,14 @@ def test_closed_form_of_a_real_puma_by_its_axes_alone():
 @pytest.mark.skipif(not HAS_NUMBA, reason="Numba is not installed: the plain source is what runs already")
 def test_compiled_and_plain_source_agree():
     from ik_controller.kinematics import levenberg_marquardt as lm
-    from ik_controller.kinematics.chain import chain_of
+    from ik_controller.kinematics.chain import table_of
 
     pose = PANDA.forward([0.4, -0.5, 0.3, -1.9, 0.2, 1.6, 0.5])
     results = []
     for function in (lm.descend, lm.descend.py_func):
         q = np.array([0.2, 0.2, 0.2, -1.5, 0.2, 1.2, 0.2])
         ended = function(
-            tuple(chain_of(PANDA)), np.ascontiguousarray(pose.rotation), pose.translation.copy(), np.ones(6), np.eye(3),
+            table_of(PANDA), np.ascontiguousarray(pose.rotation), pose.translation.copy(), np.ones(6), np.eye(3),
             PANDA.lower, PANDA.upper, PANDA.prismatic, np.ones(7), math.inf, 1e-9, 1e-9, 30, False, q, np.empty((0, 9)),
         )  # fmt: skip
         results.append((ended[0], ended[1], q))
