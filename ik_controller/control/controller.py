@@ -99,12 +99,19 @@ class Controller:
 
     def state(self) -> dict[str, Any]:
         """Return the state as JSON types, for `restore`; floats come back bit for bit."""
-        return {"commanded": self._state.tolist(), "started": self._started, "fresh": self._fresh}
+        n, state = self._n, self._state[: 2 * self._n + 6].tolist()
+        return {
+            "position": state[:n] if self._started else None,
+            "velocity": state[n : 2 * n],
+            "tool_velocity": state[2 * n :],
+            "fresh": self._fresh,
+        }
 
     def restore(self, state: dict[str, Any]) -> None:
         """Take a state of `state`."""
-        self._keep(np.array(state["commanded"], dtype=float))
-        self._started = bool(state["started"])
+        self._started = state["position"] is not None
+        position = state["position"] if self._started else [0.0] * self._n
+        self._keep(np.array([*position, *state["velocity"], *state.get("tool_velocity", _ZERO)], dtype=float))
         self._fresh = bool(state["fresh"])
 
     def step(self, q_measured: Array | None, reference: Reference | None, dt: float) -> Step:
