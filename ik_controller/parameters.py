@@ -7,16 +7,18 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ik_controller import parameter_spec
 from ik_controller.errors import ParameterError, choices
+from ik_controller.parameter_file import values_in
+from ik_controller.parameter_spec import Spec, parameter
 
 SECTIONS = ("robot", "limits", "law", "reference", "node", "recording")
 
@@ -46,67 +48,6 @@ INVERSES = (
 )
 
 
-_AT_START = ("robot", "autostart")  # the other read-only ones can be changed before the node is configured
-
-
-@dataclass(frozen=True)
-class Spec:
-    """What is known of one parameter besides its name; `kind` is its Python type as text; `read_only` while the node is
-    configured.
-    """
-
-    name: str
-    kind: str
-    default: Any
-    section: str
-    description: str
-    unit: str
-    low: float | None
-    high: float | None
-    legal: tuple[str, ...]
-    lengths: tuple[int, ...]
-    read_only: bool
-
-    @property
-    def at_start(self) -> bool:
-        """Whether it can only be given when the node's process starts."""
-        return self.name in _AT_START
-
-    @property
-    def bounds(self) -> str:
-        """The legal values as text, for error lines and the table."""
-        if self.legal:
-            return choices(self.legal)
-        low = "" if self.low is None else f"≥ {self.low:g}"
-        high = "" if self.high is None else f"≤ {self.high:g}"
-        return ", ".join(part for part in (low, high) if part)
-
-
-def _p(
-    default: Any,
-    section: str,
-    description: str,
-    *,
-    unit: str = "",
-    low: float | None = None,
-    high: float | None = None,
-    legal: tuple[str, ...] = (),
-    lengths: tuple[int, ...] = (),
-    read_only: bool = False,
-) -> Any:
-    metadata = {
-        "section": section,
-        "description": description,
-        "unit": unit,
-        "low": low,
-        "high": high,
-        "legal": legal,
-        "lengths": lengths,
-        "read_only": read_only,
-    }
-    return field(default=default, metadata=metadata)
-
-
 @dataclass(frozen=True)
 class ControllerParameters:
     """All parameters, checked when made. Raises ParameterError naming the parameter and its legal values.
@@ -115,11 +56,15 @@ class ControllerParameters:
     """
 
     # robot
-    robot: str = _p("", "robot", "Bundled robot; empty: `urdf`, else the topic robot_description.", read_only=True)
-    urdf: str = _p("", "robot", "URDF file; empty: the topic robot_description.", read_only=True)
-    tip_frame: str = _p("", "robot", "Link that carries the tool.", read_only=True)
-    base_frame: str = _p("", "robot", "Link in which targets are expressed; empty: the root link.", read_only=True)
-    tool_offset: tuple[float, ...] = _p(
+    robot: str = parameter(
+        "", "robot", "Bundled robot; empty: `urdf`, else the topic robot_description.", read_only=True
+    )
+    urdf: str = parameter("", "robot", "URDF file; empty: the topic robot_description.", read_only=True)
+    tip_frame: str = parameter("", "robot", "Link that carries the tool.", read_only=True)
+    base_frame: str = parameter(
+        "", "robot", "Link in which targets are expressed; empty: the root link.", read_only=True
+    )
+    tool_offset: tuple[float, ...] = parameter(
         (),
         "robot",
         "Tool point in the tip frame: x y z qx qy qz qw; empty: the tip itself. Changed at run time, the arm goes "
@@ -127,29 +72,29 @@ class ControllerParameters:
         unit="m, 1",
         lengths=(0, 7),
     )
-    locked_joint_names: tuple[str, ...] = _p(
+    locked_joint_names: tuple[str, ...] = parameter(
         (), "robot", "Joints outside the chain that are locked elsewhere than at 0.", read_only=True
     )
-    locked_joint_values: tuple[float, ...] = _p(
+    locked_joint_values: tuple[float, ...] = parameter(
         (), "robot", "Their values, in the same order.", unit="rad, m", read_only=True
     )
     # limits
-    position_lower: tuple[float, ...] = _p(
+    position_lower: tuple[float, ...] = parameter(
         (), "limits", "Lower joint limits; empty: the URDF's.", unit="rad, m", read_only=True
     )
-    position_upper: tuple[float, ...] = _p(
+    position_upper: tuple[float, ...] = parameter(
         (), "limits", "Upper joint limits; empty: the URDF's.", unit="rad, m", read_only=True
     )
-    velocity_limits: tuple[float, ...] = _p(
+    velocity_limits: tuple[float, ...] = parameter(
         (), "limits", "Joint speed limits; empty: the URDF's.", unit="rad/s, m/s", read_only=True
     )
-    acceleration_limits: tuple[float, ...] = _p(
+    acceleration_limits: tuple[float, ...] = parameter(
         (), "limits", "Joint acceleration limits; empty: full speed in 0.25 s.", unit="rad/s², m/s²", read_only=True
     )
-    velocity_scale: float = _p(1.0, "limits", "Factor on all speed limits.", low=0.001, high=1.0)
-    acceleration_scale: float = _p(1.0, "limits", "Factor on all acceleration limits.", low=0.001, high=1.0)
+    velocity_scale: float = parameter(1.0, "limits", "Factor on all speed limits.", low=0.001, high=1.0)
+    acceleration_scale: float = parameter(1.0, "limits", "Factor on all acceleration limits.", low=0.001, high=1.0)
     # law
-    gain: tuple[float, ...] = _p(
+    gain: tuple[float, ...] = parameter(
         (50.0,),
         "law",
         "K of q̇ = J⁺(ẋ_d + K e): one value, 6 (x y z, rotation about x y z) or 36 (rows of a 6×6 matrix); "
@@ -157,39 +102,41 @@ class ControllerParameters:
         unit="1/s",
         lengths=(1, 6, 36),
     )
-    feed_forward: bool = _p(True, "law", "Use the target's velocity ẋ_d; without it a moving target is trailed.")
-    orientation_error: str = _p(
+    feed_forward: bool = parameter(True, "law", "Use the target's velocity ẋ_d; without it a moving target is trailed.")
+    orientation_error: str = parameter(
         "exponential_base", "law", "Orientation part of e (notes N4).", legal=ORIENTATION_ERRORS
     )
-    inverse: str = _p(
+    inverse: str = parameter(
         "numerical_filtering",
         "law",
         "J⁺ (notes N5): exact away from singularities, damped in the weak directions alone; the others are for study, "
         "take longer, and give way to it where they do not exist.",
         legal=INVERSES,
     )
-    inverse_weights: tuple[float, ...] = _p(
+    inverse_weights: tuple[float, ...] = parameter(
         (), "law", "Diagonal of the metric W: one value a joint for weighted_right, 6 for weighted_left.", low=1e-6
     )
-    manipulability_threshold: float = _p(
+    manipulability_threshold: float = parameter(
         0.05, "law", "Manipulability below which damped_manipulability damps.", low=1e-9
     )
-    damping: float = _p(0.05, "law", "Largest damping λ, reached at a singularity.", low=0.0, high=10.0)
-    singular_value_threshold: float = _p(
+    damping: float = parameter(0.05, "law", "Largest damping λ, reached at a singularity.", low=0.0, high=10.0)
+    singular_value_threshold: float = parameter(
         0.04, "law", "Directions whose singular value is below this are damped; others are exact.", low=0.0, high=10.0
     )
-    posture: tuple[float, ...] = _p(
+    posture: tuple[float, ...] = parameter(
         (), "law", "Joint posture that redundancy is used for; empty: none is sought.", unit="rad, m"
     )
-    posture_gain: float = _p(1.0, "law", "Rate at which the posture is sought, in the null space.", unit="1/s", low=0.0)
-    integration_base: str = _p(
+    posture_gain: float = parameter(
+        1.0, "law", "Rate at which the posture is sought, in the null space.", unit="1/s", low=0.0
+    )
+    integration_base: str = parameter(
         "commanded",
         "law",
         "Where e and J are taken: at the commanded joints, at the measured ones, or at the commanded ones kept "
         "within max_deviation of the measured.",
         legal=("commanded", "measured", "bounded"),
     )
-    measured_gain: float = _p(
+    measured_gain: float = parameter(
         10.0,
         "law",
         "Largest gain where integration_base is measured: the loop then runs through the arm, and is stable while "
@@ -197,58 +144,62 @@ class ControllerParameters:
         unit="1/s",
         low=0.01,
     )
-    max_deviation: float = _p(
+    max_deviation: float = parameter(
         0.1, "law", "Largest commanded minus measured joint position, for integration_base bounded.", unit="rad, m",
         low=1e-6,
     )  # fmt: skip
     # reference
-    mode: str = _p(
+    mode: str = parameter(
         "auto",
         "reference",
         "Which targets are followed: the kind that arrived last, or one kind alone (pose: poses with their twists); "
         "others are rejected.",
         legal=("auto", "pose", "twist", "trajectory", "joints"),
     )
-    twist_unit: str = _p(
+    twist_unit: str = parameter(
         "speed",
         "reference",
         "Twists and jogs are speeds (m/s, rad/s), or unitless, −1 to 1, times the scales below.",
         legal=("speed", "unitless"),
     )
-    linear_scale: float = _p(0.4, "reference", "Speed of a unitless linear 1.", unit="m/s", low=0.0, high=10.0)
-    angular_scale: float = _p(0.8, "reference", "Speed of a unitless angular 1.", unit="rad/s", low=0.0, high=30.0)
-    joint_scale: float = _p(0.5, "reference", "Speed of a unitless joint jog 1.", unit="rad/s, m/s", low=0.0, high=30.0)
-    twist_reference_point: str = _p(
+    linear_scale: float = parameter(0.4, "reference", "Speed of a unitless linear 1.", unit="m/s", low=0.0, high=10.0)
+    angular_scale: float = parameter(
+        0.8, "reference", "Speed of a unitless angular 1.", unit="rad/s", low=0.0, high=30.0
+    )
+    joint_scale: float = parameter(
+        0.5, "reference", "Speed of a unitless joint jog 1.", unit="rad/s, m/s", low=0.0, high=30.0
+    )
+    twist_reference_point: str = parameter(
         "tool",
         "reference",
         "A twist command is the velocity of the tool point, only rotated from its frame to the base (tool); or of the "
         "point of the tool's body that is at the frame's origin (frame). Twists beside poses are always of the tool.",
         legal=("tool", "frame"),
     )
-    trajectory_mode: str = _p(
+    trajectory_mode: str = parameter(
         "replace",
         "reference",
         "A new trajectory replaces the last one, or is appended: what is before its first point stays, and stamp 0 "
         "means from the last one's end.",
         legal=("replace", "append"),
     )
-    goal_position_tolerance: float = _p(
+    goal_position_tolerance: float = parameter(
         0.001, "reference", "A trajectory's goal is reached when the measured tool is this near.", unit="m", low=0.0
     )
-    goal_orientation_tolerance: float = _p(
+    goal_orientation_tolerance: float = parameter(
         0.01,
         "reference",
         "A trajectory's goal is reached when the measured tool is turned by less than this.",
         unit="rad",
         low=0.0,
     )
-    goal_joint_tolerance: float = _p(
+    goal_joint_tolerance: float = parameter(
         0.01, "reference", "A joint trajectory's goal is reached when every joint is this near.", unit="rad, m", low=0.0
     )
-    goal_time: float = _p(
+    goal_time: float = parameter(
         1.0, "reference", "Time after a trajectory's end before its goal counts as missed.", unit="s", low=0.0
     )
-    transform_timeout: float = _p(
+    transform_timeout: float = parameter(
         0.1,
         "reference",
         "How long a target in a frame of TF waits for its transform before it is rejected.",
@@ -256,22 +207,22 @@ class ControllerParameters:
         low=0.0,
         high=10.0,
     )
-    reference_mode: str = _p(
+    reference_mode: str = parameter(
         "extrapolate",
         "reference",
         "Between samples: go on with the last twist, or interpolate `reference_delay` in the past.",
         legal=("extrapolate", "interpolate"),
     )
-    reference_delay: float = _p(
+    reference_delay: float = parameter(
         0.03, "reference", "How far in the past to interpolate; take two sample periods.", unit="s", low=0.0, high=1.0
     )
-    command_timeout: float = _p(
+    command_timeout: float = parameter(
         0.1, "reference", "Targets older than this, by arrival, stop the arm.", unit="s", low=0.001, high=10.0
     )
-    feedback_timeout: float = _p(
+    feedback_timeout: float = parameter(
         0.1, "reference", "joint_states older than this, by arrival, halt the arm.", unit="s", low=0.001, high=10.0
     )
-    stamp_tolerance: float = _p(
+    stamp_tolerance: float = parameter(
         0.5,
         "reference",
         "A stamp further than this from the arrival is of another clock: only its spacing is used.",
@@ -279,63 +230,65 @@ class ControllerParameters:
         low=0.0,
     )
     # node
-    rate: float = _p(1000.0, "node", "Control cycles a second.", unit="Hz", low=100.0, high=1000.0, read_only=True)
-    monitor_rate: float = _p(
+    rate: float = parameter(
+        1000.0, "node", "Control cycles a second.", unit="Hz", low=100.0, high=1000.0, read_only=True
+    )
+    monitor_rate: float = parameter(
         100.0, "node", "~/current_pose and ~/tracking_error a second.", unit="Hz", low=0.1, high=1000.0
     )
-    status_rate: float = _p(
+    status_rate: float = parameter(
         10.0, "node", "~/status a second; also sent on every change.", unit="Hz", low=0.1, high=100.0
     )
-    autostart: bool = _p(
+    autostart: bool = parameter(
         True, "node", "Configure and activate at once; without it wait for the lifecycle services.", read_only=True
     )
-    command_output: str = _p(
+    command_output: str = parameter(
         "joint_state",
         "node",
         "Type of the commands: JointState; JointTrajectory of one point; Float64MultiArray of positions or velocities.",
         legal=("joint_state", "joint_trajectory", "position_array", "velocity_array"),
         read_only=True,
     )
-    command_topic: str = _p(
+    command_topic: str = parameter(
         "",
         "node",
         "Topic of the commands; empty: joint_commands, joint_trajectory_controller/joint_trajectory, "
         "forward_position_controller/commands or forward_velocity_controller/commands.",
         read_only=True,
     )
-    trajectory_velocities: bool = _p(
+    trajectory_velocities: bool = parameter(
         False,
         "node",
         "JointTrajectory commands have velocities too; joint_trajectory_controller takes them only with "
         "allow_nonzero_velocity_at_trajectory_end.",
         read_only=True,
     )
-    second_publisher: str = _p(
+    second_publisher: str = parameter(
         "warn",
         "node",
         "When an input has more than one publisher: warn, refuse all its messages until one is left, or allow it.",
         legal=("warn", "refuse", "allow"),
     )
-    tool_frame: str = _p(
+    tool_frame: str = parameter(
         "ik_controller_tool",
         "node",
         "TF frame of the tool point, sent below the tip frame where tf2 is installed; empty: not sent.",
         read_only=True,
     )
-    servo_interface: bool = _p(
+    servo_interface: bool = parameter(
         False, "node", "Inputs, services and status under MoveIt Servo's names and types.", read_only=True
     )
-    servo_name: str = _p("servo_node", "node", "Node name before MoveIt Servo's names.", read_only=True)
+    servo_name: str = parameter("servo_node", "node", "Node name before MoveIt Servo's names.", read_only=True)
     # recording
-    record: bool = _p(True, "recording", "Record every run; the service ~/record switches it too.")
-    record_folder: str = _p("runs", "recording", "Folder that gets one bag a run; a change is for the next bag.")
-    record_compression: str = _p(
+    record: bool = parameter(True, "recording", "Record every run; the service ~/record switches it too.")
+    record_folder: str = parameter("runs", "recording", "Folder that gets one bag a run; a change is for the next bag.")
+    record_compression: str = parameter(
         "zstd", "recording", "Compression of the bag; a change is for the next bag.", legal=("zstd", "lz4", "none")
     )
 
     def __post_init__(self) -> None:
         for spec in specs():
-            object.__setattr__(self, spec.name, _checked(spec, getattr(self, spec.name)))
+            object.__setattr__(self, spec.name, parameter_spec.checked(spec, getattr(self, spec.name)))
         gain_matrix(self.gain, 1.0 / self.rate)
         if len(self.locked_joint_names) != len(self.locked_joint_values):
             raise ParameterError(
@@ -365,11 +318,11 @@ class ControllerParameters:
 
     @classmethod
     def from_yaml(cls, path: str | Path) -> ControllerParameters:
-        """Read a ROS 2 parameter file (`NODE: ros__parameters: …`) or plain `name: value` YAML.
+        """Read a ROS 2 parameter file (`NODE: ros__parameters: …`) or plain `name: value` YAML; see `values_in`.
 
         Raises ParameterError: file missing, not YAML, no parameters in it, unknown name, bad value.
         """
-        return cls.from_mapping(yaml_values(path))
+        return cls.from_mapping(values_in(path))
 
     def as_mapping(self) -> dict[str, Any]:
         """Return names and values as plain JSON types (lists for tuples)."""
@@ -383,29 +336,6 @@ def specs() -> Iterator[Spec]:
     """Yield every parameter's Spec in the order of the documentation."""
     for item in dataclasses.fields(ControllerParameters):
         yield Spec(name=item.name, kind=str(item.type), default=item.default, **item.metadata)
-
-
-def yaml_values(path: str | Path) -> dict[str, Any]:
-    """Return the names and values in a parameter file; see `ControllerParameters.from_yaml`."""
-    import yaml
-
-    try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not text"
-        raise ParameterError(f"parameter file '{path}' cannot be read: {reason}") from None
-    except yaml.YAMLError as error:
-        raise ParameterError(f"parameter file '{path}' is not YAML: {' '.join(str(error).split())}") from None
-    if not isinstance(content, dict):
-        raise ParameterError(f"parameter file '{path}' holds no parameters")
-    nodes = [value["ros__parameters"] for value in content.values() if _is_ros_section(value)]
-    if len(nodes) > 1:
-        raise ParameterError(f"parameter file '{path}' has ros__parameters of {len(nodes)} nodes, need one")
-    return dict(nodes[0]) if nodes else content
-
-
-def _is_ros_section(value: Any) -> bool:
-    return isinstance(value, dict) and isinstance(value.get("ros__parameters"), dict)
 
 
 def gain_matrix(gain: tuple[float, ...], dt: float) -> NDArray[np.float64]:
@@ -423,69 +353,6 @@ def gain_matrix(gain: tuple[float, ...], dt: float) -> NDArray[np.float64]:
     return matrix
 
 
-def _checked(spec: Spec, value: Any) -> Any:
-    """Return the value as its own type, or raise ParameterError in one line."""
-
-    def fail(need: str) -> ParameterError:
-        return ParameterError(f"{spec.name} = {value!r}: need {need}")
-
-    if spec.kind == "bool":
-        if not isinstance(value, bool):
-            raise fail("true or false")
-        return value
-    if spec.kind == "str":
-        if not isinstance(value, str):
-            raise fail("text")
-        if spec.legal and value not in spec.legal:
-            raise fail(f"one of {spec.bounds}")
-        return value
-    if spec.kind == "float":
-        return _number(spec, value, fail)
-    if isinstance(value, (str, bytes, Mapping)) or not hasattr(value, "__iter__"):
-        if spec.kind != "tuple[float, ...]" or isinstance(value, (str, bytes, Mapping)):
-            raise fail("a list")
-        value = [value]  # one number for a list of one
-    items = list(value)
-    if spec.kind == "tuple[str, ...]":
-        if not all(isinstance(item, str) for item in items):
-            raise fail("a list of names")
-        return tuple(items)
-    if spec.lengths and len(items) not in spec.lengths:
-        raise fail(f"{' or '.join(str(length) for length in spec.lengths)} values, got {len(items)}")
-    return tuple(_number(spec, item, fail) for item in items)
-
-
-def _number(spec: Spec, value: Any, fail: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise fail("a number" if spec.kind == "float" else "a list of numbers")
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.nan
-    if math.isnan(number) or (math.isinf(number) and spec.section != "limits"):
-        raise fail("a finite number")
-    if (spec.low is not None and number < spec.low) or (spec.high is not None and number > spec.high):
-        raise fail(f"{spec.bounds} {spec.unit}".strip())
-    return number
-
-
 def table() -> str:
-    """Return the Markdown table of all parameters, section by section, for the documentation."""
-    lines: list[str] = []
-    for section in SECTIONS:
-        lines += [f"### {section.capitalize()}", "", "| name | type | default | unit | legal | description |"]
-        lines.append("|---|---|---|---|---|---|")
-        for spec in specs():
-            if spec.section == section:
-                kind = {"tuple[float, ...]": "list of float", "tuple[str, ...]": "list of str"}.get(
-                    spec.kind, spec.kind
-                )
-                default = ", ".join(f"{v:g}" for v in spec.default) if isinstance(spec.default, tuple) else spec.default
-                shown = f"`{str(default).lower() if spec.kind == 'bool' else default}`" if default != "" else ""
-                fixed = "Fixed at start." if spec.at_start else "Fixed while configured."
-                fixed = f" {fixed}" if spec.read_only else ""
-                lines.append(
-                    f"| `{spec.name}` | {kind} | {shown} | {spec.unit} | {spec.bounds} | {spec.description}{fixed} |"
-                )
-        lines.append("")
-    return "\n".join(lines)
+    """Return the Markdown table of all parameters, for the documentation."""
+    return parameter_spec.table(specs(), SECTIONS)

@@ -7,13 +7,14 @@ from pathlib import Path
 from ik_controller.errors import ModelError, ParameterError
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.kinematics.urdf import Urdf
-from ik_controller.parameters import ControllerParameters, yaml_values
+from ik_controller.parameter_file import values_in
+from ik_controller.parameters import ControllerParameters
 from ik_controller.share import robot_folder
 
 
 def bundled_parameters(name: str) -> ControllerParameters:
     """Return the parameters of a bundled robot's own parameter file. Raises ModelError: unknown robot."""
-    return ControllerParameters.from_mapping(yaml_values(robot_folder(name) / "parameters.yaml"))
+    return ControllerParameters.from_mapping(values_in(robot_folder(name) / "parameters.yaml"))
 
 
 def with_bundled(values: dict[str, object]) -> ControllerParameters:

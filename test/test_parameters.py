@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from ik_controller import ControllerParameters
 from ik_controller.errors import ParameterError
 from ik_controller.kinematics import orientation_error
+from ik_controller.parameter_file import values_in
 from ik_controller.parameters import ORIENTATION_ERRORS, SECTIONS, gain_matrix, specs, table
 
 SPECS = {spec.name: spec for spec in specs()}
@@ -168,6 +169,27 @@ def test_yaml_in_both_forms(tmp_path, text):
     assert ControllerParameters.from_yaml(str(file)) == expected
 
 
+def test_a_file_of_one_node_and_wildcards_needs_no_name(tmp_path):
+    """One fully named node, the wildcards that fit it, and what is nested below a namespace."""
+    file = tmp_path / "parameters.yaml"
+    file.write_text(
+        "/**: {ros__parameters: {gain: 1.0, damping: 0.1}}\n"
+        "/other/*: {ros__parameters: {rate: 100.0}}\n"
+        "cell: {left: {arm: {ros__parameters: {damping: 0.2}}}}\n"
+    )
+    assert values_in(file) == {"gain": 1.0, "damping": 0.2}
+    assert values_in(file, "/other/arm") == {"gain": 1.0, "damping": 0.1, "rate": 100.0}
+    assert values_in(file, "cell/left/arm") == values_in(file)
+
+
+def test_a_file_of_other_nodes_names_them(tmp_path):
+    file = tmp_path / "parameters.yaml"
+    file.write_text("/left/arm: {ros__parameters: {gain: 1.0}}\n/right/arm: {ros__parameters: {gain: 2.0}}\n")
+    assert values_in(file, "/right/arm") == {"gain": 2.0}
+    with pytest.raises(ParameterError, match="has no parameters for /arm; it has: /left/arm, /right/arm"):
+        values_in(file, "/arm")
+
+
 @pytest.mark.parametrize(
     ("content", "text"),
     [
@@ -176,7 +198,10 @@ def test_yaml_in_both_forms(tmp_path, text):
         (b"gain: [1, 2\n", "is not YAML"),
         (b"gain: 1\n---\ngain: 2\n", "is not YAML"),
         (b"\xff\xfe\x00\x01", "cannot be read: not text"),
-        (b"a: {ros__parameters: {gain: 1}}\nb: {ros__parameters: {gain: 2}}\n", "ros__parameters of 2 nodes, need one"),
+        (
+            b"a: {ros__parameters: {gain: 1}}\nb: {ros__parameters: {gain: 2}}\n",
+            "has parameters of 2 nodes, name one: /a, /b",
+        ),
         (b"gian: 1\n", "unknown parameter 'gian'; did you mean: gain"),
         (b"5: 1\n", "unknown parameter '5'"),
         (b"on: 1\n", "unknown parameter 'True'"),

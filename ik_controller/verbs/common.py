@@ -27,6 +27,19 @@ def add_model_arguments(parser: argparse.ArgumentParser, default: str | None = N
     parser.set_defaults(default_robot=default)
 
 
+def add_params_argument(parser: argparse.ArgumentParser, what: str) -> None:
+    """Add --params, a file that is `what`, and --node."""
+    parser.add_argument("--params", metavar="FILE", help=f"parameter file {what}")
+    parser.add_argument("--node", metavar="NAME", help="full name of the node whose parameters are meant in that file")
+
+
+def values_from(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return the names and values in the parameter file that the arguments name. Raises ParameterError."""
+    from ik_controller.parameter_file import values_in
+
+    return values_in(arguments.params, arguments.node) if arguments.params else {}
+
+
 def _default(robot: str | None) -> str:
     return "" if robot is None else f" (default: {robot})"
 

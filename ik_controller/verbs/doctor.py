@@ -7,7 +7,15 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ik_controller.errors import IkControllerError
-from ik_controller.verbs.common import add_json_argument, add_model_arguments, parameters_from, print_json, print_table
+from ik_controller.verbs.common import (
+    add_json_argument,
+    add_model_arguments,
+    add_params_argument,
+    parameters_from,
+    print_json,
+    print_table,
+    values_from,
+)
 
 if TYPE_CHECKING:
     from ik_controller.kinematics.model import RobotModel
@@ -20,7 +28,7 @@ _FAST_BRAKE = 2.0  # [s] that no arm's joint should need to stop from full speed
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's arguments."""
-    parser.add_argument("--params", metavar="FILE", help="parameter file to check")
+    add_params_argument(parser, "to check")
     add_model_arguments(parser, default="panda")
     add_json_argument(parser)
 
@@ -49,12 +57,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 def examine(arguments: argparse.Namespace) -> list[Finding]:
     """Return the findings on the configuration that the arguments name."""
-    from ik_controller.parameters import yaml_values
     from ik_controller.robots import build_model
 
     findings: list[Finding] = []
     try:
-        values = yaml_values(arguments.params) if arguments.params else {}
+        values = values_from(arguments)
         parameters = parameters_from(arguments, values)
     except IkControllerError as error:
         return [Finding("error", "parameters", str(error), "correct the parameter file or the arguments")]

@@ -9,11 +9,13 @@ from ik_controller.errors import ParameterError
 from ik_controller.verbs.common import (
     add_json_argument,
     add_model_arguments,
+    add_params_argument,
     add_target_arguments,
     parameters_from,
     print_json,
     print_table,
     target_options_from,
+    values_from,
 )
 
 HELP = "run a recorded run again, offline, and compare every command bit for bit"
@@ -22,9 +24,7 @@ HELP = "run a recorded run again, offline, and compare every command bit for bit
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.add_argument("bag", help="bag folder or .mcap file")
-    parser.add_argument(
-        "--params", metavar="FILE", help="parameter file whose values replace the recorded ones (what if)"
-    )
+    add_params_argument(parser, "whose values replace the recorded ones (what if)")
     parser.add_argument("--output", metavar="BAG", help="folder of a new bag with the replayed run")
     parser.add_argument(
         "--tolerance", type=float, default=0.0, metavar="T", help="largest difference that passes [rad or m] (0: bits)"
@@ -36,13 +36,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Replay, print, and return 0 where all commands are identical or within the tolerance, else 1."""
-    from ik_controller.parameters import yaml_values
     from ik_controller.recording.reader import open_bag
     from ik_controller.recording.replay import describe_software, replay
 
     if not arguments.tolerance >= 0.0:
         raise ParameterError(f"--tolerance {arguments.tolerance}: need 0 or more")
-    changes = yaml_values(arguments.params) if arguments.params else {}
+    changes = values_from(arguments)
     output = Path(arguments.output) if arguments.output else None
     robot, targets = parameters_from(arguments, changes), target_options_from(arguments)
     result = replay(open_bag(arguments.bag), changes=changes, robot=robot, targets=targets, output=output)
