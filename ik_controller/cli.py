@@ -12,7 +12,7 @@ import sys
 
 from ik_controller.errors import IkControllerError
 
-VERBS = ("demo", "replay", "report", "solve", "doctor", "recover", "bench", "sim", "stream", "view", "teleop")
+VERBS = ("demo", "replay", "report", "solve", "doctor", "recover", "bench", "sim", "stream", "view", "teleop", "import")
 
 
 class _Parser(argparse.ArgumentParser):
