@@ -12,7 +12,21 @@ import sys
 
 from ik_controller.errors import IkControllerError
 
-VERBS = ("demo", "replay", "report", "solve", "doctor", "recover", "bench", "sim", "stream", "view", "teleop", "import")
+VERBS = (
+    "demo",
+    "replay",
+    "report",
+    "solve",
+    "doctor",
+    "recover",
+    "bench",
+    "sim",
+    "stream",
+    "view",
+    "teleop",
+    "import",
+    "compare",
+)
 
 
 class _Parser(argparse.ArgumentParser):

@@ -275,6 +275,10 @@ class JointStateWriter:
         """Return the positions (n,) in a message that `write` made."""
         return np.frombuffer(data, _NUMBER, self._size // 8, self._position)
 
+    def velocities(self, data: bytes) -> Array:
+        """Return the velocities (n,) in a message that `write` made."""
+        return np.frombuffer(data, _NUMBER, self._size // 8, self._velocity)
+
 
 # The record of one cycle is a std_msgs/Int64MultiArray, so that any reader of bags can open it.
 CYCLE_FIELDS = ("index", "time_ns", "code", "late_ns", "work_ns", "published")
