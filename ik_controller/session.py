@@ -58,6 +58,7 @@ class Session:
         self.last_rejected = ""
         self.status = Status(Code.WAITING)
         self.goal = Goal()
+        self.reference: Reference | None = None  # of the last cycle
         self.feedback_arrival: int | None = None
         self._refused: dict[str, str] = {}  # role → why nothing is taken from it
         self._inputs = Inputs(model, self.targets, parameters)
@@ -127,8 +128,9 @@ class Session:
             self.paused = True
             self.targets.clear()
         elif do == "resume":
-            self.paused = False
-            self._restarting = self._running
+            if self.paused:
+                self.paused = False
+                self._restarting = self._running
         elif do == "reset":
             self._restarting = self._running
             self.targets.clear()
@@ -206,6 +208,7 @@ class Session:
         reference = None if self.paused or self._restarting else self.targets.reference(now, self.dt)
         if reference is not None and reference.about is not None:
             reference = self._about_tool(reference, reference.about)
+        self.reference = reference
         step = self.controller.step(measured, reference, self.dt)
         self.goal.watch(now, self.targets, measured, self.model, self.parameters)
         if self.paused:

@@ -23,7 +23,8 @@ ONLY = {
     "viser": {"view"},
 }
 ROS = ["rclpy", "rosidl_runtime_py", "ament_index_python", "builtin_interfaces", "std_msgs", "std_srvs", "sensor_msgs",
-       "geometry_msgs", "trajectory_msgs", "diagnostic_msgs", "rcl_interfaces"]  # fmt: skip
+       "geometry_msgs", "trajectory_msgs", "diagnostic_msgs", "rcl_interfaces", "rosgraph_msgs",
+       "visualization_msgs"]  # fmt: skip
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
 

@@ -201,6 +201,10 @@ class Targets:
             return last.time, (last.position, last.rotation)
         return None
 
+    def way(self) -> list[Array]:
+        """Return the points (3,) of the tool's trajectory that is followed, for people to see."""
+        return [sample.position for sample in list(self._samples)] if self._trajectory else []
+
     def _sample_at(self, time: int) -> _Sample:
         """Return the trajectory's pose and twist at `time` [ns] as a sample."""
         reference = self._pose_reference(time, _INSTANT)

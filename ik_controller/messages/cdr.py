@@ -88,6 +88,14 @@ def twist_message(stamp: int, frame: str, twist: Array) -> bytes:
     return encode(message(TWIST, header(stamp, frame), message("geometry_msgs/msg/Twist", linear, angular)))
 
 
+def stamp_at(data: bytes) -> tuple[int, int]:
+    """Return seconds and nanoseconds of the header that begins a message's bytes, zeros where there is none."""
+    if len(data) < 12:
+        return 0, 0
+    values = struct.unpack_from("<iI" if data[1] == 1 else ">iI", data, 4)
+    return values[0], values[1]
+
+
 def frame_of(data: bytes) -> str:
     """Return the frame in the header that begins a message's bytes, "" where there is none or it cannot be read."""
     order = "<I" if data[1:2] == b"\1" else ">I"

@@ -19,6 +19,7 @@ from ik_controller.control.controller import Step
 from ik_controller.control.status import Code
 from ik_controller.errors import BagError, ParameterError
 from ik_controller.messages import cdr
+from ik_controller.messages.commands import CommandWriter
 from ik_controller.messages.inputs import INPUTS
 from ik_controller.parameters import ControllerParameters
 from ik_controller.recording.reader import BagReader
@@ -30,7 +31,7 @@ from ik_controller.session import Session
 
 Array = NDArray[np.float64]
 
-_NEEDED = (*INPUTS, "events", "joint_commands", "cycle")
+_NEEDED = (*INPUTS, "events", "joint_commands", "command_output", "cycle")
 
 
 @dataclass
@@ -86,6 +87,7 @@ class Cycle(NamedTuple):
     work: int
     step: Step | None
     recorded: bytes | None
+    sent: bytes | None = None  # the command as sent, where that was not a JointState
 
 
 def session_of(bag: BagReader, changes: Mapping[str, Any]) -> tuple[Session, RunInfo]:
@@ -110,15 +112,18 @@ def cycles(
     role_of = {topic: role for role, topic in info.topics.items() if role in _NEEDED}
     present = {topic.name for topic in bag.topics}
     recorded: bytes | None = None
+    sent: bytes | None = None
     for topic, now, data, _ in bag.messages([name for name in role_of if name in present]):
         role = role_of[topic]
         if role == "cycle":
             index, at, _, late, work, _ = cdr.decode_cycle(data)
             step = session.cycle(at)
-            yield Cycle(index, at, late, work, step, recorded)
-            recorded = None
+            yield Cycle(index, at, late, work, step, recorded, sent)
+            recorded = sent = None
         elif role == "joint_commands":
             recorded = data
+        elif role == "command_output":
+            sent = data
         elif role == "events":
             event = str(cdr.decode(cdr.STRING, data).data)
             session.apply(event)
@@ -167,6 +172,7 @@ def replay(
     if output is not None:
         writer = RunWriter(output, session, info.topics, patient=True)
     encode = cdr.JointStateWriter(session.model.joint_names)
+    other = other_output(session)
     first = last = 0
     session.warm_up()
     begin = time.perf_counter()
@@ -180,13 +186,21 @@ def replay(
         recorded, stamp = cycle.recorded, cycle.time + session.period
         if step is not None or recorded is not None:
             result.commands += 1
-            if step is None or recorded is None or not encode.wrote(recorded, stamp, step.position, step.velocity):
+            same = (
+                step is not None
+                and recorded is not None
+                and encode.wrote(recorded, stamp, step.position, step.velocity)
+                and (other is None or cycle.sent == other.write(step.position, step.velocity))
+            )
+            if not same:
                 _note_difference(result, cycle, encode)
         if step is not None and step.status.code is Code.TRACKING:
             result.errors.add(step.error)
         if writer is not None:
             if step is not None:
                 writer.write("joint_commands", cycle.time, encode.write(stamp, step.position, step.velocity))
+                if other is not None:
+                    writer.write("command_output", cycle.time, other.write(step.position, step.velocity))
             writer.cycle(
                 cycle.number, cycle.time, int(session.status.code), cycle.late, cycle.work, int(step is not None)
             )
@@ -198,6 +212,15 @@ def replay(
     if writer is not None:
         writer.close()
     return result
+
+
+def other_output(session: Session) -> CommandWriter | None:
+    """Return what writes the commands of a run that does not send them as JointState, else None."""
+    parameters = session.parameters
+    if parameters.command_output == "joint_state":
+        return None
+    names, velocities = session.model.joint_names, parameters.trajectory_velocities
+    return CommandWriter(parameters.command_output, names, session.period, velocities)
 
 
 def _note_difference(result: Replay, cycle: Cycle, encode: cdr.JointStateWriter) -> None:

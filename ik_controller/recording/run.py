@@ -17,6 +17,7 @@ from typing import Any
 from ik_controller.errors import BagError
 from ik_controller.kinematics.accelerate import HAS_NUMBA
 from ik_controller.messages import cdr
+from ik_controller.messages.commands import OUTPUTS
 from ik_controller.messages.inputs import INPUTS
 from ik_controller.parameters import ControllerParameters
 from ik_controller.recording.reader import BagReader
@@ -31,6 +32,7 @@ ROLES = {
     **INPUTS,
     "robot_description": cdr.STRING,
     "joint_commands": cdr.JOINT_STATE,
+    "command_output": "",  # the command as sent, where that is of another type: `messages.commands`
     "current_pose": cdr.POSE,
     "tracking_error": cdr.TWIST,
     "status": "diagnostic_msgs/msg/DiagnosticStatus",
@@ -85,9 +87,13 @@ class RunWriter:
         self.writer = BagWriter(folder, compression=session.parameters.record_compression, patient=patient)
         self.folder = folder
         latched = Qos(durability="transient_local", depth=1)
+        kinds = {**ROLES, "command_output": OUTPUTS[session.parameters.command_output][0]}
+        if session.parameters.command_output == "joint_state":
+            del kinds["command_output"]
         self._channels = {
             role: self.writer.channel(topics[role], kind, latched if role == "robot_description" else None)
-            for role, kind in ROLES.items()
+            for role, kind in kinds.items()
+            if role in topics  # a run of an older version knows fewer
         }
         self._cycle = self._channels["cycle"]
         self.writer.metadata(

@@ -10,6 +10,8 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
 
+from ik_controller.parameters import ControllerParameters
+from ik_controller.ros.optional import optional
 from ik_controller.ros.polling import PolledGroup, PolledSubscription
 
 _TAKEN_AT_ONCE = 200  # messages of one input a cycle, so that a flood cannot stop the loop
@@ -25,7 +27,7 @@ class Input(NamedTuple):
 
 
 # By role, as in `messages.inputs.INPUTS`. A trajectory comes once and must come; streams must not wait.
-INPUTS = {
+_INPUTS = {
     "joint_states": Input(JointState, "joint_states", 10, False),
     "target_pose": Input(PoseStamped, "~/target_pose", 100, False),
     "target_twist": Input(TwistStamped, "~/target_twist", 100, False),
@@ -35,13 +37,40 @@ INPUTS = {
 }
 
 
-class Inputs:
-    """The subscriptions of one run, from its activation on: what was sent before is not taken."""
+# Role → MoveIt Servo's name, behind the parameter servo_name.
+_SERVO = {
+    "target_pose": "pose_target_cmds",
+    "target_twist": "delta_twist_cmds",
+    "target_joint_jog": "delta_joint_cmds",
+}
 
-    def __init__(self, node: Node) -> None:
+
+def inputs_of(parameters: ControllerParameters) -> dict[str, Input]:
+    """Return role → input, with MoveIt Servo's names where the parameters ask for them."""
+    inputs = dict(_INPUTS)
+    jog = optional("control_msgs.msg", "JointJog")
+    if jog is not None:
+        inputs["target_joint_jog"] = Input(jog, "~/target_joint_jog", 100, False)
+    if parameters.servo_interface:
+        for role, name in _SERVO.items():
+            if role in inputs:
+                inputs[role] = inputs[role]._replace(topic=f"{parameters.servo_name}/{name}")
+    return inputs
+
+
+class Inputs:
+    """The subscriptions of one run, from its activation on: what was sent before is not taken.
+
+    `topics`: role → resolved topic of the targets.
+    """
+
+    def __init__(self, node: Node, parameters: ControllerParameters) -> None:
         group = PolledGroup()
         self._node = node
-        self._subscriptions = [(role, PolledSubscription(node, group, *settings)) for role, settings in INPUTS.items()]
+        self._subscriptions = [
+            (role, PolledSubscription(node, group, *settings)) for role, settings in inputs_of(parameters).items()
+        ]
+        self.topics = {role: entry.topic for role, entry in self._subscriptions if role != "joint_states"}
 
     def take(self) -> Iterator[tuple[str, bytes]]:
         """Yield role and bytes of everything that has arrived, input by input."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from ik_controller.control.status import Code
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.messages import cdr
+from ik_controller.ros.clock import SimulatedLoop
 from ik_controller.ros.loop import Loop
 from ik_controller.ros.reasons import REASONS, level_of, of_status
 from ik_controller.ros.recorder import Recorder
@@ -87,8 +89,16 @@ def idle(state: str, why: str, hardware: str) -> Account:
 class Monitor:
     """What is seen of one run; `account` sums it up. `description`: what is wrong with the last robot_description."""
 
-    def __init__(self, session: Session, loop: Loop, recorder: Recorder) -> None:
+    def __init__(
+        self,
+        session: Session,
+        loop: Loop | SimulatedLoop,
+        recorder: Recorder,
+        notes: Callable[[], list[tuple[str, str]]],
+    ) -> None:
+        """`notes` returns reasons (keys of REASONS) and sentences that only the run knows of."""
         self.description = ""
+        self._notes = notes
         self._session = session
         self._loop = loop
         self._recorder = recorder
@@ -129,6 +139,13 @@ class Monitor:
         if self.description:
             reasons.append("rejected")
             sentences.append(f"rejected robot_description: {self.description}")
+        if session.goal.outcome and session.targets.trajectory_end() is not None:
+            sentences.append(f"goal {session.goal.outcome}")
+            if session.goal.outcome.startswith("missed"):
+                reasons.append("goal missed")
+        for reason, sentence in self._notes():
+            reasons.append(reason)
+            sentences.append(sentence)
         if self._missed > 0.01 * self._second:
             reasons.append("late")
             sentences.append(f"{self._missed} cycles of the last second began late")
@@ -140,6 +157,8 @@ class Monitor:
         values = {
             "state": state.code.name.lower(),
             "reasons": ", ".join(dict.fromkeys(reasons)),
+            "mode": session.parameters.mode,
+            "goal": session.goal.outcome,
             "limit": state.limit.value,
             "joint": names[state.joint] if state.joint >= 0 else "",
             "scale": f"{state.scale:.4f}",

@@ -168,7 +168,7 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
         for assumption in model.assumptions:
             self.get_logger().warning(assumption)
         self.model = model
-        self._outputs = Outputs(self, model)
+        self._outputs = Outputs(self, model, self.parameters)
 
     def _activate(self) -> None:
         assert self.model is not None

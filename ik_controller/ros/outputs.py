@@ -6,37 +6,60 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+from trajectory_msgs.msg import JointTrajectory
 
 from ik_controller.control.controller import Step
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.messages import cdr
+from ik_controller.messages.commands import ARRAY, OUTPUTS, CommandWriter
+from ik_controller.messages.inputs import INPUTS
+from ik_controller.parameters import ControllerParameters
 from ik_controller.recording.run import default_topics
-from ik_controller.ros.inputs import INPUTS
+from ik_controller.ros.inputs import inputs_of
 from ik_controller.ros.monitor import DIAGNOSTIC_ARRAY, Account, Telling
 from ik_controller.session import Session
+
+_CLASSES = {cdr.JOINT_STATE: JointState, cdr.JOINT_TRAJECTORY: JointTrajectory, ARRAY: Float64MultiArray}
 
 
 class Outputs:
     """The publishers of a configured node; `topics`: role → resolved topic of all that a run's bag holds."""
 
-    def __init__(self, node: Node, model: RobotModel) -> None:
+    def __init__(self, node: Node, model: RobotModel, parameters: ControllerParameters) -> None:
         self._node = node
-        self._commands = node.create_publisher(JointState, "joint_commands", 10)
+        kind, topic = OUTPUTS[parameters.command_output]
+        topic = parameters.command_topic or topic
+        self._commands = node.create_publisher(_CLASSES[kind], topic, 10)
+        self._other: CommandWriter | None = None
+        if kind != cdr.JOINT_STATE:
+            period = round(1e9 / parameters.rate)
+            velocities = parameters.trajectory_velocities
+            self._other = CommandWriter(parameters.command_output, model.joint_names, period, velocities)
         self._pose = node.create_publisher(PoseStamped, "~/current_pose", 10)
         self._error = node.create_publisher(TwistStamped, "~/tracking_error", 10)
         self._telling = Telling(model)
         self._encode = cdr.JointStateWriter(model.joint_names).write
         self.topics = default_topics(node.get_fully_qualified_name())
-        for role, settings in INPUTS.items():
+        inputs = inputs_of(parameters)
+        for role in set(INPUTS) - set(inputs):  # a type that is not installed here
+            del self.topics[role]
+        for role, settings in inputs.items():
             self.topics[role] = node.resolve_topic_name(settings.topic)
         for topic in ("joint_commands", "robot_description"):
             self.topics[topic] = node.resolve_topic_name(topic)
+        self.topics["joint_commands" if self._other is None else "command_output"] = self._commands.topic_name
 
     def command(self, at: int, step: Step) -> list[tuple[str, bytes]]:
         """Send a step's command, stamped `at` [ns]; return roles and bytes."""
         data = self._encode(at, step.position, step.velocity)
-        self._commands.publish(data)
-        return [("joint_commands", data)]
+        if self._other is None:
+            self._commands.publish(data)
+            return [("joint_commands", data)]
+        # Recorded in both forms: joint_commands, with names and stamp, is what readers of bags and the replay know.
+        sent = self._other.write(step.position, step.velocity)
+        self._commands.publish(sent)
+        return [("joint_commands", data), ("command_output", sent)]
 
     def tell(self, now: int, session: Session, step: Step | None) -> list[tuple[str, bytes]]:
         """Send tool pose and tracking error; return roles and bytes."""

@@ -51,6 +51,8 @@ def on_change(node: Node, accept: Callable[[dict[str, Any]], None]) -> None:
 
     def callback(changes: list[Parameter]) -> SetParametersResult:
         values = {change.name: _plain(change.value) for change in changes if change.name in known}
+        if any(change.name == "use_sim_time" for change in changes):
+            return SetParametersResult(successful=False, reason="use_sim_time is read-only: it is fixed at the start")
         try:
             if values:
                 accept(values)

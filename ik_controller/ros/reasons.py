@@ -76,6 +76,16 @@ REASONS: dict[str, Reason] = {
     "rejected": Reason(
         WARN, "A message was not usable within the last second; the message says which and why.", "Correct the sender."
     ),
+    "publishers": Reason(
+        WARN, "An input has more than one publisher; they fight over the arm.", "Stop all but one; `second_publisher`."
+    ),
+    "transform": Reason(
+        WARN, "A target waits for its transform from TF.", "See that its frame is sent, with stamps of the same clock."
+    ),
+    "goal missed": Reason(
+        WARN, "A trajectory has ended away from its goal.", "Slower trajectories, within reach; `goal_time`."
+    ),
+    "clock": Reason(WARN, "use_sim_time, and /clock stands or is not there.", "Let the simulation run."),
     "late": Reason(
         WARN,
         "More than one cycle in a hundred of the last second began after the next was due.",

@@ -7,6 +7,7 @@ cycles, so that a run is one sequence that can be repeated.
 from __future__ import annotations
 
 import contextlib
+import functools
 import gc
 import json
 import threading
@@ -20,11 +21,17 @@ from rclpy.node import Node
 from ik_controller.errors import IkControllerError
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.parameters import ControllerParameters
+from ik_controller.ros.clock import SimulatedLoop
 from ik_controller.ros.inputs import Inputs
 from ik_controller.ros.loop import Loop, undisturbed
+from ik_controller.ros.markers import MarkerOutput
 from ik_controller.ros.monitor import Monitor
+from ik_controller.ros.optional import optional
 from ik_controller.ros.outputs import Outputs, StatusOutput
+from ik_controller.ros.publishers import PublisherWatch
 from ik_controller.ros.recorder import Recorder
+from ik_controller.ros.servo import ServoInterface
+from ik_controller.ros.transforms import ToolFrame, Transforms
 from ik_controller.session import Session
 
 _STOP_TIME = 5.0  # [s] that braking at the end may take
@@ -55,11 +62,18 @@ class Runner:
         self._events: deque[str] = deque()
         self._stop = False
         self._stop_by: int | None = None  # when braking at the end has taken too long [ns]
-        self._loop = Loop(self.session.period, self._cycle, self._on_stall)
+        self._loop = self._loop_of(node)
+        self._now = 0  # the time of the last cycle [ns]
+        self._transforms = Transforms(node, model.base_frame)
         self._thread = threading.Thread(target=self._run, name="loop")
-        self.monitor = Monitor(self.session, self._loop, self.recorder)
+        self.monitor = Monitor(self.session, self._loop, self.recorder, self._notes)
         self._told: tuple[Any, ...] = ()
         self.set_rates(parameters)
+
+    def _loop_of(self, node: Node) -> Loop | SimulatedLoop:
+        if node.get_parameter("use_sim_time").value:
+            return SimulatedLoop(node, self.session.period, self._cycle, self._on_jump, self._on_idle)
+        return Loop(self.session.period, self._cycle, self._on_stall)
 
     # -- the executor's side: it only queues
 
@@ -67,7 +81,17 @@ class Runner:
         """Subscribe and start the loop."""
         self._quiet.enter_context(undisturbed())
         # Subscribing is the last thing before the loop: who finds us listening is served at once.
-        self._inputs = Inputs(self._node)
+        self._inputs = Inputs(self._node, self.session.parameters)
+        self._publishers = PublisherWatch(
+            self._node, self._inputs.topics, lambda: self.session.parameters.second_publisher, self.request
+        )
+        self._extras: list[Any] = [MarkerOutput(self._node, self.session)]
+        self._servo: ServoInterface | None = None
+        if self.session.parameters.servo_interface:
+            self._servo = ServoInterface(self._node, self.session.parameters.servo_name, self.request)
+            self._extras.append(self._servo)
+        if self.session.parameters.tool_frame and optional("tf2_ros") is not None:
+            self._extras.append(ToolFrame(self._node, self.session))
         self._thread.start()
 
     def stop(self) -> None:
@@ -75,6 +99,10 @@ class Runner:
         self._stop = True
         self._thread.join()
         self._quiet.close()
+        for extra in self._extras:
+            extra.close()
+        self._publishers.close()
+        self._transforms.close()
         self._inputs.close()
         self.recorder.close()
 
@@ -106,13 +134,15 @@ class Runner:
 
     def _cycle(self, index: int, now: int, late: int) -> None:
         begin = time.monotonic_ns()
+        self._now = now
         session = self.session
         bag = self.recorder.switch(session, now)
         if self._stop:
             self._brake(now)
         while self._events:
             self._apply(self._events.popleft(), now)
-        for role, data in self._inputs.take():
+        events = functools.partial(self._apply_now, now=now)
+        for role, data in self._transforms.sorted_in(self._inputs.take(), session, now, events):
             if bag is not None:
                 bag.write(role, now, data)
             if not session.take(role, data, now):
@@ -153,6 +183,9 @@ class Runner:
         if self.recorder.bag is not None:
             self.recorder.bag.event(now, event)
 
+    def _apply_now(self, event: dict[str, Any], now: int) -> None:
+        self._apply(json.dumps(event), now)
+
     def _brake(self, now: int) -> None:
         """End as with a pause: the arm brakes within its limits, then the session has nothing more to command."""
         if self._stop_by is None:
@@ -166,5 +199,33 @@ class Runner:
         self._logger.error(f"the process was held up for {skipped} cycles: starting again from the measured position")
         self.request(do="reset")
 
+    def _on_jump(self, now: int) -> None:
+        self._logger.warning("the simulated time has jumped: starting again from the measured position")
+        self._apply(json.dumps({"do": "clock"}), now)
+
+    def _on_idle(self) -> None:
+        """While the simulated time stands: nothing moves, but what is asked for is done, and told."""
+        if self._stop:
+            self._loop.stop = True
+            return
+        if not self._now:  # before the first tick there is no time to write to a bag
+            self._tell_status(self._node.get_clock().now().nanoseconds, False)
+            return
+        self.recorder.switch(self.session, self._now)
+        while self._events:
+            self._apply(self._events.popleft(), self._now)
+        self._tell_status(self._now, False)
+
     def _tell_status(self, now: int, diagnostics: bool) -> None:
         self._record(now, [("status", self._status.tell(now, self.monitor.account(now), diagnostics))])
+        if self._servo is not None:
+            self._servo.tell(self.session.status, self.session.model.joint_names)
+
+    def _notes(self) -> list[tuple[str, str]]:
+        """Return reasons (keys of REASONS) and sentences that only this run knows of."""
+        notes = [("publishers", warning) for warning in self._publishers.warnings]
+        if self._transforms.waiting:
+            notes.append(("transform", self._transforms.waiting))
+        if isinstance(self._loop, SimulatedLoop) and self._loop.stands:
+            notes.append(("clock", "the simulated time stands still: nothing is commanded"))
+        return notes
