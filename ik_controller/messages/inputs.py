@@ -104,7 +104,7 @@ class Inputs:
         if not math.isfinite(numbers.dot(numbers)):  # or so large that it might as well be
             raise MessageError(f"twist {numbers.tolist()}: values must be finite")
         if placement is self.frames.base:
-            return numbers
+            return numbers.copy()  # one that may be written: Numba compiles for the others anew
         rotation = placement.rotation
         return np.concatenate((rotation @ numbers[:3], rotation @ numbers[3:]))
 
