@@ -104,7 +104,8 @@ class Inputs:
         if not math.isfinite(numbers.dot(numbers)):  # or so large that it might as well be
             raise MessageError(f"twist {numbers.tolist()}: values must be finite")
         if placement is self.frames.base:
-            return numbers.copy()  # one that may be written: Numba compiles for the others anew
+            twist: Array = numbers.copy()  # one that may be written: Numba compiles for the others anew
+            return twist
         rotation = placement.rotation
         return np.concatenate((rotation @ numbers[:3], rotation @ numbers[3:]))
 
