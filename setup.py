@@ -55,7 +55,7 @@ setup(
     entry_points={
         "console_scripts": [
             "ik_controller = ik_controller.cli:main",
-            "ik_controller_node = ik_controller.ros.node:main",
+            "ik_controller_node = ik_controller.ros.process:main",
         ],
     },
     zip_safe=False,

@@ -11,7 +11,7 @@ import numpy as np
 
 from ik_controller.errors import ParameterError, choices
 
-_AT_START = ("robot", "autostart")  # the other read-only ones can be changed before the node is configured
+_AT_START = ("robot", "arms", "autostart")  # the other read-only ones can be changed before the node is configured
 
 
 @dataclass(frozen=True)

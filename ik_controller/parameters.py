@@ -239,6 +239,13 @@ class ControllerParameters:
     status_rate: float = parameter(
         10.0, "node", "~/status a second; also sent on every change.", unit="Hz", low=0.1, high=100.0
     )
+    arms: tuple[str, ...] = parameter(
+        (),
+        "node",
+        "Several arms in one process: a node of each name, `left` or `left/arm`, with its own parameters, instead of "
+        "this one.",
+        read_only=True,
+    )
     autostart: bool = parameter(
         True, "node", "Configure and activate at once; without it wait for the lifecycle services.", read_only=True
     )

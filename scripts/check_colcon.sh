@@ -51,5 +51,5 @@ found=$("$python" -c 'import ik_controller.share as share; print(share.__file__,
 [ "${found//$prefix/}" != "$found" ] && [ "${found//$repo\//}" = "$found" ] || fail "the installed tree is not what is used: $found"
 "$python" "$prefix/lib/ik_controller/ik_controller" --help >"$work/help" 2>&1 ||
     { cat "$work/help" >&2; fail "the installed ik_controller --help failed"; }
-"$python" -c 'import ik_controller.ros.node' || fail "the installed node cannot be imported"
+"$python" -c 'import ik_controller.ros.process' || fail "the installed node cannot be imported"
 echo "colcon check: ros.ament_python, executables, ament index, package.xml, config, bags and launch are in place"

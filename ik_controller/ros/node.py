@@ -1,25 +1,19 @@
 """The node `ik_controller`: a lifecycle node around one arm's runs.
 
 Threads: this node's executor (`serve`: parameters, services, transitions), and while it is active the loop and the
-recorder's writer. `main` is the process.
+recorder's writer.
 """
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
-import threading
 import traceback
 from collections.abc import Callable
 from typing import Any
 
-import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
@@ -106,11 +100,12 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
 
     def _autostart(self) -> None:
         if self.parameters.autostart and not self._stopping.done():
-            for trigger in (self.trigger_configure, self.trigger_activate):
-                if trigger() != TransitionCallbackReturn.SUCCESS:
-                    self._fatal = self._failure
-                    self.request_stop()
-                    return
+            done = self.trigger_configure() == TransitionCallbackReturn.SUCCESS
+            if done and not self._stopping.done():  # configuring may take long: the end may have been asked for
+                done = self.trigger_activate() == TransitionCallbackReturn.SUCCESS
+            if not done:
+                self._fatal = self._failure
+                self.request_stop()
 
     # -- transitions
 
@@ -321,48 +316,3 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
         account = monitor.idle(self.state, why, self.model.robot_name if self.model else "")
         self._status.tell(self.get_clock().now().nanoseconds, account, self._told % 10 == 0)
         self._told += 1
-
-
-def main(arguments: list[str] | None = None) -> int:
-    """Run the node as a process: exit code 0 after SIGINT or SIGTERM, 2 for a mistake in its configuration."""
-    # rclpy's own handlers would shut the context down before the stop command can go out.
-    try:
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # a malformed ROS argument, or a parameter file that cannot be read
-        print(f"ik_controller_node: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
-    wake, waker = os.pipe()  # what may be done in a signal handler: write a byte
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: os.write(waker, b"."))
-    failures: list[Exception] = []
-
-    def serve(node: ControllerNode) -> None:
-        try:
-            node.serve()
-        except Exception as error:
-            failures.append(error)
-        os.write(waker, b".")
-
-    node: ControllerNode | None = None
-    try:
-        node = ControllerNode()
-        thread = threading.Thread(target=serve, args=(node,), name="executor")
-        thread.start()
-        os.read(wake, 1)
-        node.request_stop()
-        thread.join()
-    except IkControllerError as error:
-        failures.append(error)
-    finally:
-        if node is not None:
-            node.destroy_node()
-        rclpy.try_shutdown()
-    for failure in failures:
-        if not isinstance(failure, IkControllerError):
-            raise failure
-        print(f"ik_controller_node: {failure}", file=sys.stderr)
-    return 2 if failures else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

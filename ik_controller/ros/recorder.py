@@ -33,9 +33,9 @@ class Recorder:
         """The bag that is being written, or None."""
         return None if self._wanted is None else self._wanted.folder
 
-    def start(self, session: Session, topics: dict[str, str], folder: str) -> Path:
-        """Make a bag in `folder` and hand it to the loop; return its folder. Raises BagError."""
-        bag = RunWriter(new_bag_folder(Path(folder).expanduser()), session, topics)
+    def start(self, session: Session, topics: dict[str, str], folder: str, name: str) -> Path:
+        """Make a bag `name`_DATE_NUMBER in `folder` and hand it to the loop; return its folder. Raises BagError."""
+        bag = RunWriter(new_bag_folder(Path(folder).expanduser(), name), session, topics)
         self._wanted = bag
         self._changes.append(bag)
         self._logger.info(f"recording to {bag.folder}")

@@ -114,7 +114,9 @@ class Runner:
         """Start recording, unless it runs; return the bag's folder. Raises BagError."""
         folder = self.recorder.folder
         if folder is None:
-            folder = self.recorder.start(self.session, self._outputs.topics, parameters.record_folder)
+            # Bags of several arms in one folder are told apart by the nodes' names.
+            name = self._node.get_fully_qualified_name().replace("/ik_controller", "").replace("/", "_")
+            folder = self.recorder.start(self.session, self._outputs.topics, parameters.record_folder, f"run{name}")
         return str(folder)
 
     def set_rates(self, parameters: ControllerParameters) -> None:

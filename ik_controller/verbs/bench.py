@@ -170,7 +170,7 @@ def _node(seconds: float) -> list[dict[str, Any]]:
         settings = ["-p", "robot:=panda", "-p", f"record_folder:={folder}"]
         commands = {
             "sim": [*module, "ik_controller.cli", "sim"],
-            "node": [*module, "ik_controller.ros.node", "--ros-args", *settings],
+            "node": [*module, "ik_controller.ros.process", "--ros-args", *settings],
             "relay": [*module, "ik_controller.ros.baseline", "relay"],
             "listen": [*module, "ik_controller.ros.baseline", "listen"],
             "sleep": [*module, "ik_controller.ros.baseline", "sleep"],

@@ -97,7 +97,7 @@ def _run_processes(arguments: argparse.Namespace, targets: Path, length: float, 
     stream = [*verb, "stream", str(targets), "--duration", f"{length}", "--patience", f"{_PATIENCE:g}", "--json"]
     commands = {
         "sim": [*verb, "sim", *robot],
-        "node": [sys.executable, "-m", "ik_controller.ros.node", "--ros-args", *settings],
+        "node": [sys.executable, "-m", "ik_controller.ros.process", "--ros-args", *settings],
         "stream": stream,
     }
     processes: dict[str, subprocess.Popen[bytes]] = {}

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from rig import NODE, ROOT, Rig, environment, next_domain
 
-from ik_controller.ros.node import main
+from ik_controller.ros.process import main
 
 PANDA = ["-p", "robot:=panda"]
 URDF = str(ROOT / "config" / "panda" / "robot.urdf")
