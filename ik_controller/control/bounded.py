@@ -4,9 +4,9 @@
     subject to  J q̇ = s J q̇_wanted,  low ≤ q̇ ≤ high,  G q̇ ≤ g,  0 ≤ s ≤ 1
 
 is a true quadratic program: a joint at its bound is relieved by the others (null space) before the task is scaled by s
-along its direction. D divides by the velocity limits; W is large, so s is given up last. With y = D q̇ and N a basis of
-the y that do not move the tool, the equality is solved beforehand: y = s y_wanted + N z, and what remains is the
-shortest (√W (1 − s), z) within the bounds: two unknowns for a 7-joint arm.
+along its direction. D divides by the velocity limits; s = 1 is tried first, and W is large, so s is given up last. With
+y = D q̇ and N a basis of the y that do not move the tool, the equality is solved beforehand: y = s y_wanted + N z, and
+what remains is the shortest (√W (1 − s), z) within the bounds: two unknowns for a 7-joint arm.
 
 Redundancy keeps the task at its full speed, but is not there to speed it up: null-space motion bought for a faster
 start has to be braked as well, and is missing where the tool is to stop. So where s < 1 anyway, it rises from cycle to
@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from ik_controller.control.least_distance import least_distance
 from ik_controller.kinematics.accelerate import compiled
-from ik_controller.kinematics.small import row_basis
+from ik_controller.kinematics.small import reflect_rows, turn_back
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,6 @@ ALONG, BETWEEN, CLOSEST = 0, 1, 2
 SCALE_WEIGHT = 1e8  # W, against joint velocities of order one
 _CLOSEST_WEIGHT = 1e-4  # pull to the wanted joint velocities beside the task, where the task cannot be held
 _ROW_WEIGHT = 1e8  # on the square of how far a row of G is not kept
-_FULL = 1.0 - 1e-6  # s from which on nothing was given up
 _TOLERANCE = 1e-12  # of bounds, as a share of the velocity limits
 
 
@@ -69,22 +68,29 @@ def bounded_velocity(
         for i in range(m):
             task[i, j] = jacobian[i, j] * limit[j]
     tolerance = _TOLERANCE * largest
-    basis, order = np.empty((n, n)), np.empty(m, dtype=np.int64)
-    rank = row_basis(task, basis, order)
-    ways, y = np.zeros((2, n)), np.empty(n)
-    for j in range(n):
-        ways[0, j] = -aim[j]
-    found = ALONG
-    solved, scale = _on_path(aim, ways, 1, 1.0, basis, rank, low, high, limit, rows, row_bounds, tolerance, y)
-    if not solved or scale < _FULL:
-        _reach(task, basis, order, rank, last, ways[1])
-    if solved and scale < _FULL:
-        most = _most_at_ease(aim, ways[1], basis, rank, limit, step)
-        if most < scale:
-            solved, scale = _on_path(aim, ways, 1, most, basis, rank, low, high, limit, rows, row_bounds, tolerance, y)
+    corner, factor, order = np.empty(m), np.empty(m), np.empty(m, dtype=np.int64)
+    rank = reflect_rows(task, corner, factor, order)
+    null = np.zeros((n - rank, n))
+    for i in range(n - rank):
+        null[i, rank + i] = 1.0
+        turn_back(task, factor, rank, null[i])
+    ways, y, found = np.zeros((2, n)), np.empty(n), ALONG
+    solved, scale = _on_path(aim, ways, 0, 1.0, null, low, high, limit, rows, row_bounds, tolerance, y)
+    if not solved:
+        for j in range(n):
+            ways[0, j] = -aim[j]
+        # The shortest b with A b = ẋ_last: b = Q L⁻¹ P ẋ_last.
+        for i in range(rank):
+            total = last[order[i]]
+            for j in range(i):
+                total -= task[i, j] * ways[1, j]
+            ways[1, i] = total / corner[i]
+        turn_back(task, factor, rank, ways[1])
+        most = _most_at_ease(aim, ways[1], null, limit, step)
+        solved, scale = _on_path(aim, ways, 1, most, null, low, high, limit, rows, row_bounds, tolerance, y)
     if not solved:
         found = BETWEEN
-        solved, scale = _on_path(aim, ways, 2, 1.0, basis, rank, low, high, limit, rows, row_bounds, tolerance, y)
+        solved, scale = _on_path(aim, ways, 2, 1.0, null, low, high, limit, rows, row_bounds, tolerance, y)
     if not solved:
         found, scale = CLOSEST, 1.0 / largest
         _closest(aim, scale, jacobian, low, high, limit, rows, row_bounds, y)
@@ -94,36 +100,20 @@ def bounded_velocity(
 
 
 @compiled
-def _reach(lower: Array, basis: Array, order: NDArray[np.int64], rank: int, task_velocity: Array, way: Array) -> None:
-    """Write the shortest y (n,) with A y = `task_velocity` (m,), from P A = L Qᵀ of `row_basis`: y = Q L⁻¹ P ẋ."""
-    n = way.shape[0]
-    part = np.empty(rank)
-    for j in range(n):
-        way[j] = 0.0
-    for i in range(rank):
-        total = task_velocity[order[i]]
-        for j in range(i):
-            total -= lower[i, j] * part[j]
-        part[i] = total / lower[i, i]
-        for j in range(n):
-            way[j] += part[i] * basis[j, i]
-
-
-@compiled
-def _most_at_ease(aim: Array, last: Array, basis: Array, rank: int, limit: Array, step: Array) -> float:
+def _most_at_ease(aim: Array, last: Array, null: Array, limit: Array, step: Array) -> float:
     """Return the largest s ≤ 1 that the tool can be brought to in this cycle without help from the null space.
 
     `last` b (n,): the part of the last velocity that moved the tool; a, the same part of `aim` (n,). With s_last =
     a·b/a·a the joints change by s aim − b − s_last (aim − a), each by its `step` (n,) at most; 1 where no s does that.
     """
     n = aim.shape[0]
-    part, along, square = np.zeros(n), 0.0, 0.0
-    for column in range(rank):
+    part, along, square = aim.copy(), 0.0, 0.0
+    for i in range(null.shape[0]):
         total = 0.0
         for j in range(n):
-            total += basis[j, column] * aim[j]
+            total += null[i, j] * aim[j]
         for j in range(n):
-            part[j] += total * basis[j, column]
+            part[j] -= total * null[i, j]
     for j in range(n):
         along += part[j] * last[j]
         square += part[j] * part[j]
@@ -144,8 +134,7 @@ def _on_path(
     ways: Array,
     count: int,
     most: float,
-    basis: Array,
-    rank: int,
+    null: Array,
     low: Array,
     high: Array,
     limit: Array,
@@ -156,20 +145,22 @@ def _on_path(
 ) -> tuple[bool, float]:
     """Write y = aim + Σ tᵢ waysᵢ + N z (n,) within all bounds, ‖(√W t, z)‖ the shortest; return (is there one, s₁).
 
-    `ways` (2, n), of which the first `count` are used: t₁ = 1 − s₁ with 0 ≤ s₁ ≤ `most`, and 0 ≤ t₂ = s₂ ≤ 1.
+    `ways` (2, n), of which the first `count` are used: t₁ = 1 − s₁ with 0 ≤ s₁ ≤ `most`, and 0 ≤ t₂ = s₂ ≤ 1; without
+    any, s₁ = 1. `null` (n − r, n): N, transposed.
     """
     n, k = aim.shape[0], row_bounds.shape[0]
-    p, omega = count + n - rank, math.sqrt(SCALE_WEIGHT)
+    p, omega = count + null.shape[0], math.sqrt(SCALE_WEIGHT)
     c, lower, upper, x = np.zeros((n + count + k, p)), np.empty(n + count + k), np.empty(n + count + k), np.empty(p)
     for j in range(n):
         for way in range(count):
             c[j, way] = ways[way, j] / omega
-        for column in range(rank, n):
-            c[j, count + column - rank] = basis[j, column]
+        for column in range(count, p):
+            c[j, column] = null[column - count, j]
         lower[j], upper[j] = low[j] / limit[j] - aim[j], high[j] / limit[j] - aim[j]
-    c[n, 0] = 1.0 / omega
-    lower[n], upper[n] = 1.0 - most, 1.0
-    if count == 2:
+    if count > 0:
+        c[n, 0] = 1.0 / omega
+        lower[n], upper[n] = 1.0 - most, 1.0
+    if count > 1:
         c[n + 1, 1] = 1.0 / omega
         lower[n + 1], upper[n + 1] = 0.0, 1.0
     for i in range(k):
@@ -187,7 +178,7 @@ def _on_path(
         y[j] = aim[j]
         for column in range(p):
             y[j] += c[j, column] * x[column]
-    return True, 1.0 - x[0] / omega
+    return True, 1.0 - x[0] / omega if count > 0 else 1.0
 
 
 @compiled

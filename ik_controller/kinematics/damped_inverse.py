@@ -15,9 +15,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from ik_controller.errors import ArgumentError
 from ik_controller.kinematics.accelerate import HAS_NUMBA, compiled
-from ik_controller.kinematics.small import gram, inverse_spd, spectrum, times
+from ik_controller.kinematics.small import gram, inverse_spd, spectrum
 
 Array = NDArray[np.float64]
 
@@ -48,64 +47,33 @@ def damped_gram_inverse(matrix: Array, damping: float, threshold: float) -> tupl
     if HAS_NUMBA:
         inverse = inverse_spd(matrix)
         if inverse[0, 0] > 0.0:
-            scale = 0.0
-            for i in range(matrix.shape[0]):
+            m, scale = matrix.shape[0], 0.0
+            for i in range(m):
                 scale += inverse[i, i]
-            power = inverse / scale
+            power, square = inverse / scale, np.empty((m, m))
             for _ in range(5):
-                power = gram(power)  # of a symmetric matrix: its square
+                for i in range(m):
+                    for j in range(i + 1):
+                        total = 0.0
+                        for k in range(m):
+                            total += power[i, k] * power[j, k]
+                        square[i, j] = square[j, i] = total
+                power, square = square, power
             trace, strongest = 0.0, 0
-            for i in range(matrix.shape[0]):
+            for i in range(m):
                 trace += power[i, i]
                 if power[i, i] > power[strongest, strongest]:
                     strongest = i
             if scale * trace ** (1.0 / 32.0) * (threshold * threshold) < 1.0:
                 column = power[strongest]
-                image = times(matrix, column)
-                return inverse, math.sqrt(np.sum(column * image) / np.sum(column * column))
+                above, below = 0.0, 0.0
+                for i in range(m):
+                    image = 0.0
+                    for j in range(m):
+                        image += matrix[i, j] * column[j]
+                    above += column[i] * image
+                    below += column[i] * column[i]
+                return inverse, math.sqrt(above / below)
     values, directions = spectrum(matrix)
     factors = damping_factors(values, damping, threshold)
     return gram(directions * np.sqrt(factors)), math.sqrt(max(values[0], 0.0))
-
-
-class DampedInverse:
-    """Factor J once, then apply J⁺ to several right-hand sides. Holds its buffers; one per loop."""
-
-    def __init__(self, rows: int, damping: float, threshold: float) -> None:
-        """`rows` m of J; `damping` λ and `threshold` ε as in the module's docstring. Raises ArgumentError if
-        negative.
-        """
-        if damping < 0.0 or threshold < 0.0:
-            raise ArgumentError(f"damping {damping} and threshold {threshold} must be ≥ 0")
-        self._damping = damping
-        self._threshold = threshold
-        self._jacobian: Array = np.zeros((rows, 1))
-        self.eigenvalues: Array = np.ones(rows)  # σᵢ², ascending
-        self.directions: Array = np.eye(rows)  # column i: the task direction of σᵢ
-        self.factors: Array = np.ones(rows)  # 1/(σᵢ² + λᵢ²)
-        self.damped = False
-
-    def factor(self, jacobian: Array) -> None:
-        """Take J (m, n); the array must stay unchanged until the last `apply`."""
-        self._jacobian = jacobian
-        self.eigenvalues, self.directions = spectrum(gram(jacobian))
-        self.damped = self.eigenvalues.item(0) < self._threshold * self._threshold
-        self.factors = damping_factors(self.eigenvalues, self._damping, self._threshold)
-
-    def apply(self, velocity: Array) -> Array:
-        """Return J⁺ v (n,) or (n, k) for v (m,) or (m, k), damped near singularities."""
-        weights = self.directions.T.dot(velocity)
-        weights = (weights.T * self.factors).T
-        result: Array = self._jacobian.T.dot(self.directions.dot(weights))
-        return result
-
-    @property
-    def smallest_singular_value(self) -> float:
-        """σ_min of J: 0 where it has more rows than columns or is singular."""
-        return math.sqrt(max(self.eigenvalues.item(0), 0.0))
-
-    @property
-    def condition_number(self) -> float:
-        """σ_max / σ_min; inf at a singularity."""
-        low, high = self.eigenvalues.item(0), self.eigenvalues.item(-1)
-        return math.sqrt(high / low) if low > 0.0 else math.inf

@@ -144,16 +144,14 @@ def inverse_spd(matrix: Array) -> Array:
 
 
 @compiled
-def row_basis(matrix: Array, basis: Array, order: NDArray[np.int64]) -> int:
-    """Factor M (m, n) as P M = L Qᵀ and return its rank r; `matrix` becomes L, `basis` (n, n) Q, `order` (m,) P's rows.
+def reflect_rows(matrix: Array, corner: Array, factor: Array, order: NDArray[np.int64]) -> int:
+    """Factor M (m, n) as P M = L Qᵀ, in place, and return its rank r; Q is a product of reflections, see `turn_back`.
 
-    The first r columns of Q span what M can reach, the others its null space. Householder reflections, the longest row
-    that is left coming next (Golub and Van Loan, 5.4): rows below 1e-4 of the first count as dependent.
+    Left in `matrix`: L below its diagonal, which is in `corner` (m,), and in row k the vector v of the k-th reflection
+    I − f v vᵀ, f in `factor` (m,). `order` (m,) are P's rows: the longest that is left comes next (Golub and Van Loan,
+    5.4), and those below 1e-4 of the first count as dependent.
     """
     m, n = matrix.shape
-    for i in range(n):
-        for j in range(n):
-            basis[i, j] = 1.0 if i == j else 0.0
     for i in range(m):
         order[i] = i
     longest = 0.0
@@ -172,28 +170,31 @@ def row_basis(matrix: Array, basis: Array, order: NDArray[np.int64]) -> int:
             order[k], order[pivot] = order[pivot], order[k]
             for j in range(n):
                 matrix[k, j], matrix[pivot, j] = matrix[pivot, j], matrix[k, j]
-        corner = -math.sqrt(square) if matrix[k, k] > 0.0 else math.sqrt(square)
-        matrix[k, k] -= corner
-        factor = -1.0 / (corner * matrix[k, k])  # 2/|v|² of the reflection's vector v, now row k
+        corner[k] = -math.sqrt(square) if matrix[k, k] > 0.0 else math.sqrt(square)
+        matrix[k, k] -= corner[k]
+        factor[k] = -1.0 / (corner[k] * matrix[k, k])  # 2/|v|²
         for i in range(k + 1, m):
             total = 0.0
             for j in range(k, n):
                 total += matrix[i, j] * matrix[k, j]
-            total *= factor
+            total *= factor[k]
             for j in range(k, n):
                 matrix[i, j] -= total * matrix[k, j]
-        for i in range(n):
-            total = 0.0
-            for j in range(k, n):
-                total += basis[i, j] * matrix[k, j]
-            total *= factor
-            for j in range(k, n):
-                basis[i, j] -= total * matrix[k, j]
-        matrix[k, k] = corner
-        for j in range(k + 1, n):
-            matrix[k, j] = 0.0
     rank: int = min(m, n)
     return rank
+
+
+@compiled
+def turn_back(matrix: Array, factor: Array, rank: int, vector: Array) -> None:
+    """Turn a vector (n,), in place, into Q times it: the first r axes to the rows' span, the others to its rest."""
+    n = vector.shape[0]
+    for k in range(rank - 1, -1, -1):
+        total = 0.0
+        for j in range(k, n):
+            total += matrix[k, j] * vector[j]
+        total *= factor[k]
+        for j in range(k, n):
+            vector[j] -= total * matrix[k, j]
 
 
 def eigen_spectrum(matrix: Array) -> tuple[Array, Array]:

