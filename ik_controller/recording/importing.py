@@ -107,11 +107,11 @@ def _fitted(source: Path, output: Path, options: TargetOptions, robot: Controlle
     bag = open_bag(source)
     targets = TargetBag(bag, options, model=model, home=home)
     start = min(message.log_time_ns for _, message in zip(range(1), bag.messages(), strict=False))
-    write_targets(output, (replace(t, data=restamped(t.data, start + t.time)) for t in targets), start)
+    write_targets(output, (replace(t, data=restamped(t.data, start + t.time)) for t in targets), start, node="")
     return {
         "messages": targets.count,
         "skipped_messages": targets.skipped,
         "last_skipped_message": targets.last_skipped,
         "duration_s": targets.duration * 1e-9,
-        "topics": sorted(targets.roles),
+        "topics": [f"/{role}" for role in sorted(targets.roles)],
     }

@@ -131,7 +131,7 @@ def _transforms(type_name: str, child: str) -> Convert:
         if not child and len(children) > 1:
             raise BagError(f"transforms of several frames: say which, as in --map target_pose=TOPIC:{children[0]}; "
                            f"there are: {choices(children)}")  # fmt: skip
-        seen = children[0] if children else seen
+        seen = child or (children[0] if children else seen)
         return [
             Sample("target_pose", cdr.stamp_of(t), t.header.frame_id, _transform_numbers(t.transform))
             for t in transforms
