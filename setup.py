@@ -26,7 +26,7 @@ setup(
     maintainer="The ik_controller maintainers",
     maintainer_email="maintainers@ik-controller.org",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"]},
+    package_data={NAME: ["py.typed", "report/assets/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (str(SHARE), ["package.xml"]),
@@ -49,6 +49,7 @@ setup(
         "fast": ["numba>=0.60"],
         "analytic": ["eaik>=1.2"],
         "view": ["viser>=1.0"],
+        "parquet": ["pyarrow>=14"],
         "ros": ["ros-jazzy-rclpy", "ros-jazzy-common-interfaces", "ros-jazzy-rmw-fastrtps-cpp"],
         "test": ["pytest", "hypothesis", "mcap-ros2-support", "example-robot-data"],
     },

@@ -23,9 +23,8 @@ from ik_controller.kinematics.integrate import follow, integrate
 from ik_controller.kinematics.inverses import inverse
 from ik_controller.kinematics.orientation_error import ORIENTATION_ERRORS
 from ik_controller.kinematics.rotation import rotation_from_euler_zyx
-from ik_controller.recording.reader import open_bag
-from ik_controller.recording.replay import replay
-from ik_controller.recording.timeline import Timeline, picture
+from ik_controller.recording.picture import picture
+from ik_controller.recording.timeline import collect
 from ik_controller.share import bag_folder
 
 IMAGES = Path(__file__).parent / "images"
@@ -158,9 +157,9 @@ def orientation_errors() -> Any:
 
 def demo() -> Any:
     """The README's picture: the figure-eight on the 7-joint arm, from its golden run."""
-    timeline = Timeline()
-    replay(open_bag(bag_folder("panda_golden")), watch=timeline.watch)
-    return picture(timeline, "A figure-eight from a 100 Hz stream of poses and twists")
+    return picture(
+        collect(bag_folder("panda_golden")).timeline, "A figure-eight from a 100 Hz stream of poses and twists"
+    )
 
 
 PICTURES = {function.__name__: function for function in (drift, decay, singularity, orientation_errors, demo)}

@@ -11,6 +11,7 @@ import os
 import sys
 
 from ik_controller.errors import IkControllerError
+from ik_controller.verbs.common import print_error
 
 VERBS = (
     "demo",
@@ -33,12 +34,16 @@ class _Parser(argparse.ArgumentParser):
     """argparse, but a usage mistake is one line."""
 
     def error(self, message: str) -> None:  # type: ignore[override]
-        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+        print_error(self.prog, f"{message} (see {self.prog} --help)")
+        self.exit(2)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one verb and return the exit code."""
     given = sys.argv[1:] if arguments is None else arguments
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")  # a terminal without µ or × shows a question mark, and no traceback
     if given[:1] == ["--version"]:
         from ik_controller import __version__
 
@@ -55,7 +60,7 @@ def main(arguments: list[str] | None = None) -> int:
         module = importlib.import_module(f"ik_controller.verbs.{options.verb}")
         return int(module.run(options))
     except IkControllerError as error:
-        print(f"ik_controller {options.verb}: {error}", file=sys.stderr)
+        print_error(f"ik_controller {options.verb}", str(error))
         return 2
     except BrokenPipeError:  # the reader of our output has gone, as in `… | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 
 class IkControllerError(Exception):
@@ -32,3 +32,14 @@ class BagError(IkControllerError):
 def choices(names: Iterable[str]) -> str:
     """Return the legal names as text for an error line: "a, b, c"."""
     return ", ".join(names) or "(none)"
+
+
+def short_names(names: Sequence[str]) -> list[str]:
+    """Return names without what all of them begin with, up to a `_`: panda_joint1, panda_joint2 → joint1, joint2."""
+    cut = 0
+    for index, letters in enumerate(zip(*names, strict=False)):
+        if len(set(letters)) > 1:
+            break
+        if letters[0] == "_":
+            cut = index + 1
+    return [name[cut:] for name in names] if len(names) > 1 else list(names)

@@ -32,6 +32,7 @@ for file in lib/ik_controller/ik_controller lib/ik_controller/ik_controller_node
     share/ament_index/resource_index/packages/ik_controller share/ik_controller/package.xml; do
     [ -f "$prefix/$file" ] || fail "not installed: $file"
 done
+[ -n "$(find "$prefix" -path '*/ik_controller/report/assets/page.html')" ] || fail "not installed: the report's page"
 for executable in ik_controller ik_controller_node; do
     [ -x "$prefix/lib/ik_controller/$executable" ] || fail "not executable: $executable"
 done

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -57,6 +58,14 @@ class Watched:
     def _on_console(self, message: Any) -> None:
         if message.type in ("error", "warning"):
             self.errors.append(f"{message.type}: {message.text}")
+
+    def until(self, expression: str, argument: Any = None) -> Any:
+        """Wait until a JavaScript expression is true, and return it; also on pages whose own policy forbids eval."""
+        deadline = time.monotonic() + 1e-3 * PATIENCE
+        while not (found := self.page.evaluate(expression, argument)):
+            assert time.monotonic() < deadline, f"waited in vain for {expression}"
+            time.sleep(0.02)
+        return found
 
     def foreign_requests(self, *own: str) -> list[str]:
         """Return the requested addresses that do not begin with one of `own`; data and blob addresses go nowhere."""

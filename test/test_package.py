@@ -129,6 +129,8 @@ def test_wheel_holds_all_files(wheel):
         for file in (ROOT / folder).rglob("*"):
             if file.is_file() and "__pycache__" not in file.parts:
                 assert f"{data}/ik_controller/{file.relative_to(ROOT)}" in names
+    for asset in (ROOT / "ik_controller" / "report" / "assets").iterdir():
+        assert str(asset.relative_to(ROOT)) in names
     for module in (ROOT / "ik_controller").rglob("*.py"):
         assert str(module.relative_to(ROOT)) in names, "a folder without __init__.py is left out of wheels"
 

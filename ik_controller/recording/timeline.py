@@ -1,130 +1,270 @@
-"""Timeline: a run's signals over time, collected from its replay, and the picture of them."""
+"""Timeline: a run over time, collected from its replay as the cycles pass, in memory that does not grow with the run.
+
+Signals are thinned out by `Envelope`, which keeps peaks; what held the arm back is counted cycle by cycle.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ik_controller.control.status import Code
-from ik_controller.recording.replay import Cycle
+from ik_controller.control.status import SENTENCES, Code, Limit, Status
+from ik_controller.errors import BagError
+from ik_controller.parameters import ControllerParameters
+from ik_controller.recording.envelope import Envelope
+from ik_controller.recording.reader import BagReader, open_bag
+from ik_controller.recording.replay import Cycle, Replay, replay
+from ik_controller.recording.run import RunInfo
+from ik_controller.recording.signals import BLOCK, Signals
 from ik_controller.session import Session
 
 Array = NDArray[np.float64]
 
-_COLUMNS = 2000  # points across the picture; of more, each column shows the largest
+CAPACITY = 16384  # buckets; a report of 10 minutes at 1 kHz shows 64 cycles in each, a demo's every cycle
+
+_MOST_LANES = 60  # a lane is a bit of an int64; more different reasons share the last one
+_MOST_EVENTS = 200
+_BIN = 100  # [ns] of the histogram of periods
+_BINS = 500_000  # so that it reaches to 50 ms
 
 
+@dataclass
+class Lane:
+    """One thing that the arm did or that held it back: `cycles` with it, and the least share of the wanted speed."""
+
+    name: str
+    held: bool  # does it hold the arm back? Else it is what the arm was doing
+    cycles: int = 0
+    least_scale: float = 1.0
+
+
+class Sink(Protocol):
+    """Takes every row of a run's signals, a block at a time."""
+
+    def begin(self, signals: Signals) -> None:
+        """Prepare for rows with the columns of `signals`."""
+
+    def take(self, rows: Array, states: Sequence[str]) -> None:
+        """Take rows (k, columns), and for each what the arm did and what held it back, in words."""
+
+
+@dataclass
 class Timeline:
-    """Tool and reference over time, taken from the cycles of a replay as they pass."""
+    """A run's signals, statuses and events; `watch` is for `replay`. `sinks` get every row.
 
-    def __init__(self) -> None:
-        self.starts: list[int] = []  # when each cycle really started [ns]
-        self._rows: list[tuple[float, ...]] = []
-        self._first: int | None = None
+    After the replay: `signals` names the columns of `envelope`; `lanes` are the bits of its masks; `events`: (time [s],
+    text) of what was changed while it ran; `session` is the replayed one.
+    """
+
+    sinks: Sequence[Sink] = ()
+    capacity: int = CAPACITY
+    lanes: list[Lane] = field(default_factory=list)
+    events: list[tuple[float, str]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.cycles = 0
+        self.worked = False  # has any cycle cost time? One that was simulated has not
+        self.first_time = 0  # of the first cycle [ns]
+        self._kept: dict[Any, tuple[int, list[Lane]]] = {}
+        self._periods = np.zeros(_BINS, dtype=np.int64)
+        self._last_start: int | None = None
+        self._longest = 0
+        self._words: dict[int, str] = {}
 
     def watch(self, cycles: Iterator[Cycle], session: Session) -> Iterator[Cycle]:
-        """Pass the cycles on and note their signals."""
-        model = session.model
-        at: Array | None = None
+        """Pass the cycles on and note what they show."""
+        self.session = session
+        self.signals = signals = Signals(session.model)
+        self.envelope = Envelope(len(signals.names), self.capacity)
+        for sink in self.sinks:
+            sink.begin(signals)
+        starts = np.zeros(BLOCK, dtype=np.int64)
+        count = 0
+        parameters: ControllerParameters | None = None
         for cycle in cycles:
-            self._first = cycle.time if self._first is None else self._first
-            self.starts.append(cycle.time + cycle.late)
-            step = cycle.step
-            if step is not None:
-                tool = model.forward(at if at is not None else step.position).translation
-                speed = float((np.abs(step.velocity) / model.velocity_limit).max())
-                followed = step.status.code is Code.TRACKING and bool(step.error.any())
-                time = (cycle.time - self._first) * 1e-9
-                self._rows.append((time, *tool, *step.error, speed, float(followed)))
-                at = step.position
-            else:
-                at = None
+            if self.cycles == 0:
+                self.first_time = cycle.time
+            elapsed = cycle.time - self.first_time
+            if session.parameters is not parameters:
+                self._note_change(elapsed, parameters, session.parameters)
+                parameters = session.parameters
+            status = session.status
+            mask, lanes = self._lanes_of(status)
+            for lane in lanes:
+                lane.cycles += 1
+                if status.scale < lane.least_scale:
+                    lane.least_scale = status.scale
+            start = starts[count] = cycle.time + cycle.late
+            signals.write(count, elapsed, int(start), cycle.work, cycle.step, session, mask)
+            self.worked = self.worked or cycle.work > 0
+            self.cycles += 1
+            count += 1
+            if count == BLOCK:
+                self._take(count, starts)
+                count = 0
             yield cycle
+        self._take(count, starts)
 
-    @property
-    def table(self) -> Array:
-        """The signals, a row a cycle: time [s], tool x y z [m], error (6,) [m, rad], share of the speed limits,
-        followed.
-        """
-        return np.array(self._rows).reshape(-1, 12)
+    def _take(self, count: int, starts: NDArray[np.int64]) -> None:
+        if not count:
+            return
+        rows, masks = self.signals.finish(count, self.session.dt), self.signals.masks[:count]
+        self.envelope.take(rows, masks)
+        before = starts[:1] if self._last_start is None else np.array([self._last_start])
+        periods = np.diff(np.concatenate((before, starts[:count])))[self._last_start is None :]
+        self._last_start = int(starts[count - 1])
+        if len(periods):
+            self._longest = max(self._longest, int(periods.max()))
+            bins = np.clip(np.round(periods / _BIN), 0, _BINS - 1).astype(np.int64)
+            found, counts = np.unique(bins, return_counts=True)
+            self._periods[found] += counts
+        if self.sinks:
+            states = [self.words(mask) for mask in masks.tolist()]
+            for sink in self.sinks:
+                sink.take(rows, states)
+
+    # -- statuses
+
+    def _lanes_of(self, status: Status) -> tuple[int, list[Lane]]:
+        key = (status.code, status.limit, status.joint, status.pair, status.damped, status.feasible, status.closest,
+               status.reason)  # fmt: skip
+        found = self._kept.get(key)
+        if found is None:
+            if len(self._kept) > 10_000:  # reasons with numbers in them
+                self._kept.clear()
+            numbers = [self._lane(name, held) for name, held in reasons(status, self.session.model.joint_names)]
+            mask = sum(1 << number for number in set(numbers))
+            found = self._kept[key] = mask, [self.lanes[number] for number in set(numbers)]
+        return found
+
+    def _lane(self, name: str, held: bool) -> int:
+        names = [lane.name for lane in self.lanes]
+        if name in names:
+            return names.index(name)
+        if len(names) >= _MOST_LANES:
+            name, held = "other", True
+            if names[-1] == name:
+                return len(names) - 1
+        self.lanes.append(Lane(name, held))
+        return len(self.lanes) - 1
+
+    def words(self, mask: int) -> str:
+        """Return the lanes of a mask as one text: "tracking; velocity limit of 'joint2'"."""
+        text = self._words.get(mask)
+        if text is None:
+            text = "; ".join(lane.name for bit, lane in enumerate(self.lanes) if mask >> bit & 1)
+            self._words[mask] = text
+        return text
+
+    def _note_change(self, elapsed: int, old: ControllerParameters | None, new: ControllerParameters) -> None:
+        if old is None or len(self.events) >= _MOST_EVENTS:
+            return
+        before, after = old.as_mapping(), new.as_mapping()
+        for name, value in after.items():
+            if value != before[name]:
+                self.events.append((elapsed * 1e-9, f"{name}: {before[name]} → {value}"))
+
+    # -- timing
 
     def period_percentiles(self) -> tuple[float, float]:
-        """Return the median and 99th percentile of the loop's period [µs]; NaN for fewer than two cycles."""
-        if len(self.starts) < 2:
+        """Return the median and 99th percentile of the loop's period [µs], within 0.1; NaN below two cycles."""
+        reached = np.cumsum(self._periods)
+        if not reached[-1]:
             return float("nan"), float("nan")
-        median, high = np.percentile(np.diff(np.array(self.starts)), (50, 99)) * 1e-3
-        return float(median), float(high)
+        at = [float(np.searchsorted(reached, share * reached[-1])) * _BIN * 1e-3 for share in (0.5, 0.99)]
+        return at[0], at[1]
+
+    @property
+    def longest_period(self) -> float:
+        """The longest period of the loop [µs]."""
+        return self._longest * 1e-3
+
+    # -- columns
+
+    def first(self, name: str) -> Array:
+        """Return a column's first value of each bucket."""
+        return self.envelope.first[:, self.signals.indices[name]]
+
+    def low(self, name: str) -> Array:
+        """Return a column's smallest value of each bucket."""
+        return self.envelope.low[:, self.signals.indices[name]]
+
+    def high(self, name: str) -> Array:
+        """Return a column's largest value of each bucket."""
+        return self.envelope.high[:, self.signals.indices[name]]
+
+    @property
+    def duration(self) -> float:
+        """From the first cycle to the end of the last [s]."""
+        time = self.envelope.high[:, 0]
+        return float(time[-1]) + self.session.dt if len(time) else 0.0
 
 
-def draw(timeline: Timeline, file: Path, title: str) -> None:
-    """Draw path and errors over time into a PNG file."""
-    picture(timeline, title).savefig(file, dpi=110)
+def reasons(status: Status, joint_names: Sequence[str]) -> list[tuple[str, bool]]:
+    """Return what a status says as (short text, whether it holds the arm back), the first what the arm does."""
+    found = [(SENTENCES[status.code].split(":")[0], status.code in (Code.NO_FEEDBACK, Code.FAULT))]
+    if status.reason:
+        found.append((status.reason[:80], True))
+    if status.limit is not Limit.NONE:
+        found.append((_limit(status, joint_names), True))
+    if status.damped:
+        found.append(("near a singularity, damped", True))
+    if status.closest:
+        found.append(("target out of reach", True))
+    elif not status.feasible:
+        found.append(("direction not kept within the limits", True))
+    return found
 
 
-def picture(timeline: Timeline, title: str) -> Any:
-    """Return a matplotlib Figure of path and errors over time."""
-    from matplotlib.figure import Figure
-
-    table = timeline.table
-    time, tool, error, speed = table[:, 0], table[:, 1:4], table[:, 4:10], table[:, 10]
-    followed = table[:, 11] > 0.0
-    reference = np.where(followed[:, None], tool + error[:, :3], np.nan)
-
-    figure: Any = Figure(figsize=(12, 7), layout="constrained")
-    grid = figure.add_gridspec(3, 2, width_ratios=(1.05, 1.0))
-    path: Any = figure.add_subplot(grid[:, 0], projection="3d")
-    every = max(len(time) // _COLUMNS, 1)
-    path.plot(*reference[::every].T, color="#f58518", linewidth=3.5, alpha=0.55, label="reference")
-    path.plot(*tool[::every].T, color="#1f4e9c", linewidth=1.2, label="commanded tool")
-    if len(time):
-        path.scatter(*tool[0], color="#1f4e9c", s=28, label="start")
-    _equal_axes(path, np.vstack((tool, reference[followed])) if len(time) else np.zeros((1, 3)))
-    path.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
-    path.legend(loc="upper left")
-
-    norms = (
-        ("position error [µm]", 1e6 * np.linalg.norm(error[:, :3], axis=1), followed, "#1f4e9c"),
-        ("orientation error [µrad]", 1e6 * np.linalg.norm(error[:, 3:], axis=1), followed, "#1f4e9c"),
-        ("fastest joint [% of its limit]", 100.0 * speed, np.ones(len(time), dtype=bool), "#54832e"),
-    )
-    below: Any = None
-    for row, (label, values, shown, color) in enumerate(norms):
-        axes = figure.add_subplot(grid[row, 1], sharex=below)
-        below = below or axes
-        columns, heights = _columns(time, np.where(shown, values, np.nan))
-        axes.plot(columns, heights, color=color, linewidth=1.0)
-        if row < 2 and np.isfinite(heights).any() and np.nanmax(heights) > 50.0 * max(np.nanmedian(heights), 1e-9):
-            axes.set_yscale("log")
-        axes.set_ylabel(label)
-        axes.grid(visible=True, alpha=0.3)
-        axes.margins(x=0.01)
-        if row < 2:
-            axes.tick_params(labelbottom=False)
-    figure.axes[-1].set_xlabel("time [s]")
-    figure.suptitle(title, fontsize=13)
-    return figure
+def _limit(status: Status, joint_names: Sequence[str]) -> str:
+    name = status.limit.value
+    if status.pair:
+        return f"{name}: {' and '.join(status.pair)}"
+    if status.limit in (Limit.OBSTACLE, Limit.SELF_COLLISION):
+        return f"{name} near"
+    return f"{name} limit of '{joint_names[status.joint]}'" if status.joint >= 0 else f"{name} limit"
 
 
-def _columns(time: Array, values: Array) -> tuple[Array, Array]:
-    """Thin out to the picture's columns, keeping the largest of each so that no peak is lost."""
-    size = len(time) // _COLUMNS
-    if size < 2:
-        return time, values
-    count = len(time) // size
-    blocks = values[: count * size].reshape(count, size)
-    empty = np.isnan(blocks).all(axis=1)
-    heights = np.where(empty, np.nan, np.max(np.nan_to_num(blocks, nan=-np.inf), axis=1))
-    return time[: count * size : size], heights
+@dataclass(frozen=True)
+class Run:
+    """A run as a report sees it: what its replay found, what its bag says, whether only the targets were recorded."""
+
+    bag: BagReader
+    timeline: Timeline
+    replay: Replay
+    info: RunInfo
+    simulated: bool
 
 
-def _equal_axes(axes: Any, points: Array) -> None:
-    """Give the three axes one scale, so that a circle looks round."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    middle, half = 0.5 * (low + high), 0.55 * max(float((high - low).max()), 0.02)
-    for name, center in zip("xyz", middle, strict=True):
-        getattr(axes, f"set_{name}lim")(center - half, center + half)
-    axes.set_box_aspect((1, 1, 1))
+def collect(
+    path: Path | str,
+    robot: ControllerParameters | None = None,
+    sinks: Sequence[Sink] = (),
+) -> Run:
+    """Replay a bag and collect its timeline; a bag that is no run of ours is run on the ideal arm of `robot` first.
+
+    Raises BagError, ParameterError, ModelError.
+    """
+    bag = open_bag(path)
+    timeline = Timeline(sinks)
+    if RunInfo.of(bag) is not None:
+        return _collected(bag, bag, timeline, replay(bag, watch=timeline.watch), simulated=False)
+    with tempfile.TemporaryDirectory(prefix="ik_controller-") as folder:
+        run = Path(folder) / "run"
+        first = replay(bag, robot=robot, output=run)
+        again = replay(open_bag(run), watch=timeline.watch)
+        again.rejected, again.last_rejected = first.rejected, first.last_rejected
+        return _collected(bag, open_bag(run), timeline, again, simulated=True)
+
+
+def _collected(bag: BagReader, run: BagReader, timeline: Timeline, result: Replay, *, simulated: bool) -> Run:
+    info = RunInfo.of(run)
+    if info is None or not timeline.cycles:
+        raise BagError(f"bag '{bag.path}' holds no cycle of a run: there is nothing to report")
+    return Run(bag, timeline, result, info, simulated)

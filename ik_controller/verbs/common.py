@@ -1,15 +1,25 @@
-"""What several verbs share: naming a robot, JSON, tables."""
+"""What several verbs share: naming a robot, JSON, and the terminal: tables, colours, progress.
+
+On a terminal, texts are wrapped at its width, and colours and a line of progress are shown unless NO_COLOR says no;
+elsewhere everything is plain, 80 columns wide, and progress is silent.
+"""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import math
+import os
+import shutil
 import sys
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+import textwrap
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TextIO
 
-from ik_controller.errors import ParameterError
+from ik_controller.errors import ParameterError, short_names
 
 if TYPE_CHECKING:
     from ik_controller.kinematics.model import RobotModel
@@ -17,9 +27,11 @@ if TYPE_CHECKING:
     from ik_controller.recording.target_bag import TargetOptions
 
 
-def add_model_arguments(parser: argparse.ArgumentParser, default: str | None = None) -> None:
-    """Add --robot, --urdf, --tip, --base; `default` is the robot taken when neither robot nor URDF is given."""
-    group = parser.add_argument_group("robot")
+def add_model_arguments(parser: argparse.ArgumentParser, default: str | None = None, note: str = "") -> None:
+    """Add --robot, --urdf, --tip, --base; `default` is the robot taken when neither robot nor URDF is given, `note`
+    what the robot is for.
+    """
+    group = parser.add_argument_group("robot", note or None)
     group.add_argument("--robot", default=None, metavar="NAME", help=f"bundled robot{_default(default)}")
     group.add_argument("--urdf", metavar="FILE", help="URDF file of any other robot, with --tip")
     group.add_argument("--tip", metavar="FRAME", help="link that carries the tool")
@@ -151,16 +163,75 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def print_table(rows: Sequence[Sequence[str]], header: Sequence[str] = ()) -> None:
-    """Print rows in aligned columns: texts to the left, columns of numbers below a header to the right."""
-    lines = [list(header), *map(list, rows)] if header else [list(row) for row in rows]
-    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
-    numeric = [bool(header) and all(_is_number(row[i]) for row in rows) for i in range(len(widths))]
-    for index, line in enumerate(lines):
-        cells = [c.rjust(w) if n else c.ljust(w) for c, w, n in zip(line, widths, numeric, strict=True)]
-        print("  ".join(cells).rstrip())
-        if header and index == 0:
+# -- the terminal
+
+_STYLES = {"bold": "1", "good": "32", "warn": "33", "bad": "31"}
+
+
+def width(stream: TextIO | None = None) -> int:
+    """Return how many columns a text for that stream (stdout) may take: the terminal's, 80 where it is none."""
+    stream = sys.stdout if stream is None else stream
+    return max(shutil.get_terminal_size().columns, 40) if stream.isatty() else 80
+
+
+def styled(text: str, style: str, stream: TextIO | None = None) -> str:
+    """Return the text in one of the styles bold, good, warn, bad; plain where the stream (stdout) shows none."""
+    stream = sys.stdout if stream is None else stream
+    plain = not stream.isatty() or os.environ.get("NO_COLOR") or os.environ.get("TERM", "dumb") == "dumb"
+    return text if plain or not text else f"\x1b[{_STYLES[style]}m{text}\x1b[0m"
+
+
+def print_error(who: str, message: str) -> None:
+    """Print a mistake on stderr: one line, wrapped only where a person reads it on a terminal."""
+    text = f"{who}: {message}"
+    if sys.stderr.isatty():
+        text = textwrap.fill(text, width(sys.stderr), subsequent_indent="  ", break_on_hyphens=False)
+    print(text.replace(f"{who}:", styled(f"{who}:", "bad", sys.stderr), 1), file=sys.stderr)
+
+
+def print_text(text: str) -> None:
+    """Print a sentence, wrapped."""
+    print(textwrap.fill(text, width(), break_on_hyphens=False, break_long_words=False))
+
+
+def print_table(rows: Sequence[Sequence[str]], header: Sequence[str] = (), styles: Sequence[str] = ()) -> None:
+    """Print rows in aligned columns: texts to the left, columns of numbers below a header to the right.
+
+    Where the columns do not fit, the widest text is wrapped, and headers lose what all of them begin with. `styles`:
+    one a row, for its first cell; empty for plain.
+    """
+    if not rows and not header:
+        return
+    numeric = [bool(header) and all(_is_number(row[i]) for row in rows) for i in range(len(header or rows[0]))]
+    limit = width()
+    head = list(header)
+    widths = _widths(rows, head)
+    if head and sum(widths) + 2 * (len(widths) - 1) > limit:
+        short = iter(short_names([name for name, number in zip(head, numeric, strict=True) if number]))
+        head = [next(short) if number else name for name, number in zip(head, numeric, strict=True)]
+        widths = _widths(rows, head)
+    excess = sum(widths) + 2 * (len(widths) - 1) - limit
+    texts = [i for i, number in enumerate(numeric) if not number]
+    if excess > 0 and texts:
+        widest = max(texts, key=lambda i: widths[i])
+        widths[widest] = max(widths[widest] - excess, 16)
+    for index, row in enumerate([head, *rows] if head else rows):
+        cells = [
+            [c.rjust(w)] if n else textwrap.wrap(c, w, break_on_hyphens=False) or [""]
+            for c, w, n in zip(row, widths, numeric, strict=True)
+        ]
+        style = styles[index - bool(head)] if styles and index >= bool(head) else ""
+        for k in range(max(map(len, cells))):
+            line = [(c[k] if k < len(c) else "").ljust(w) for c, w in zip(cells, widths, strict=True)]
+            if style and line[0].strip():
+                line[0] = styled(line[0], style)
+            print("  ".join(line).rstrip())
+        if head and index == 0:
             print("  ".join("-" * w for w in widths))
+
+
+def _widths(rows: Sequence[Sequence[str]], head: Sequence[str]) -> list[int]:
+    return [max(map(len, column)) for column in zip(*([head] if head else []), *rows, strict=True)]
 
 
 def _is_number(text: str) -> bool:
@@ -172,7 +243,7 @@ def _is_number(text: str) -> bool:
 
 
 class Progress:
-    """A progress bar on a terminal's stderr; nothing where stderr is not a terminal."""
+    """A line of progress on a terminal's stderr; nothing where stderr is not a terminal."""
 
     def __init__(self, total: float, label: str, unit: str = "s") -> None:
         self._total, self._label, self._unit = total, label, unit
@@ -180,14 +251,47 @@ class Progress:
 
     def show(self, done: float) -> None:
         """Show how much is done."""
+        share = min(max(done / self._total, 0.0), 1.0) if self._total > 0.0 else 1.0
+        self._write(f"{self._bar(share)}  {min(done, self._total):5.1f} / {self._total:.1f} {self._unit}")
+
+    def tick(self, elapsed: float) -> None:
+        """Show that it goes on, where nobody knows how long."""
+        self._write(f"{elapsed:.0f} {self._unit}")
+
+    def _bar(self, share: float) -> str:
+        done = round(30 * share)
+        full, empty = ("█", "░") if (sys.stderr.encoding or "").lower().startswith("utf") else ("#", ".")
+        return full * done + empty * (30 - done)
+
+    def _write(self, text: str) -> None:
         if self._on:
-            share = min(max(done / self._total, 0.0), 1.0) if self._total > 0.0 else 1.0
-            bar = "█" * round(30 * share) + "░" * (30 - round(30 * share))
-            sys.stderr.write(f"\r{self._label}  {bar}  {min(done, self._total):5.1f} / {self._total:.1f} {self._unit} ")
+            line = f"{self._label}  {text}"[: width(sys.stderr) - 1]
+            sys.stderr.write("\r" + line.ljust(min(78, width(sys.stderr) - 1)))
             sys.stderr.flush()
 
     def end(self) -> None:
-        """Leave the line."""
+        """Leave the line empty."""
         if self._on:
-            sys.stderr.write("\r" + " " * 78 + "\r")
+            sys.stderr.write("\r" + " " * min(78, width(sys.stderr) - 1) + "\r")
             sys.stderr.flush()
+
+
+@contextlib.contextmanager
+def waiting(label: str) -> Iterator[None]:
+    """Show on a terminal's stderr that something goes on, and for how long, from the second second on."""
+    progress, done, begin = Progress(0.0, label), threading.Event(), time.monotonic()
+
+    def tick() -> None:
+        while not done.wait(1.0):
+            progress.tick(time.monotonic() - begin)
+
+    thread = threading.Thread(target=tick, name="progress", daemon=True)
+    if sys.stderr.isatty():
+        thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        if thread.ident is not None:
+            thread.join()
+        progress.end()

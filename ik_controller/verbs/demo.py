@@ -1,4 +1,4 @@
-"""`ik_controller demo`: the main job as three processes over DDS, then its replay, a table and a picture."""
+"""`ik_controller demo`: the main job as three processes over DDS, then its replay, a table, a picture and a report."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from ik_controller.verbs.common import (
     parameters_from,
     print_json,
     print_table,
+    waiting,
 )
 from ik_controller.verbs.replay import error_rows, verdict
 
@@ -35,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--targets", metavar="BAG", help="bag of poses to stream (a figure-eight for the robot)")
     parser.add_argument("--duration", type=float, metavar="S", help="only the first seconds of the targets")
     parser.add_argument("--rate", type=float, metavar="HZ", help="control cycles a second (the robot's parameter)")
-    parser.add_argument("--output", default="runs", metavar="FOLDER", help="folder for bag and picture (runs)")
+    parser.add_argument("--output", default="runs", metavar="FOLDER", help="folder for bag, picture and report (runs)")
     add_json_argument(parser)
 
 
@@ -61,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
     except OSError as error:
         raise IkControllerError(f"--output {output}: {error.strerror}") from None
     bag = _run_processes(arguments, targets_bag, length, output)
-    result = _replayed(bag, output / "report.png")
+    result = _replayed(bag, output)
     if arguments.json:
         print_json(result)
     else:
@@ -146,22 +147,27 @@ def _last_line(log: Path) -> str:
     return lines[-1] if lines else "it said nothing"
 
 
-def _replayed(bag: Path, picture: Path) -> dict[str, Any]:
+def _replayed(bag: Path, output: Path) -> dict[str, Any]:
+    from ik_controller.recording.picture import draw
     from ik_controller.recording.reader import open_bag
     from ik_controller.recording.replay import replay
-    from ik_controller.recording.timeline import Timeline, draw
+    from ik_controller.recording.timeline import collect
+    from ik_controller.report.page import write_page
 
-    replayed = replay(open_bag(bag))  # timed, without anybody watching
-    timeline = Timeline()
-    replay(open_bag(bag), watch=timeline.watch)
-    median, high = timeline.period_percentiles()
-    errors = replayed.errors.as_mapping()
-    rms = errors["position_rms_m"]
-    title = f"{bag.name}: position error {1e6 * rms:.2f} µm RMS" if rms is not None else bag.name
-    draw(timeline, picture, title)
+    with waiting("replaying"):
+        replayed = replay(open_bag(bag))  # timed, without anybody watching
+        run = collect(bag)
+        median, high = run.timeline.period_percentiles()
+        errors = replayed.errors.as_mapping()
+        rms = errors["position_rms_m"]
+        title = f"{bag.name}: position error {1e6 * rms:.2f} µm RMS" if rms is not None else bag.name
+        picture, page = output / "report.png", output / "report.html"
+        draw(run.timeline, picture, title)
+        write_page(run, page)
     return {
         "bag": str(bag),
         "picture": str(picture),
+        "report": str(page),
         "cycles": replayed.cycles,
         "period_p50_us": median,
         "period_p99_us": high,
@@ -190,3 +196,4 @@ def _show(result: dict[str, Any]) -> None:
         print(f"last rejected: {result['last_rejected']}")
     print(f"bag      {result['bag']}")
     print(f"picture  {result['picture']}")
+    print(f"report   {result['report']}  (open it in a browser)")

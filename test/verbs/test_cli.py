@@ -92,7 +92,11 @@ def test_as_a_process(tmp_path: Path) -> None:
         (["replay", "RUN", "--output", "targets"], ["targets", "overwritten"]),
         (["replay", "targets", "--robot", "pandabear"], ["pandabear", "ur5e"]),
         (["report", "no_such_bag"], ["no_such_bag"]),
-        (["report", "targets"], ["targets"]),
+        (["report", "targets", "--robot", "pandabear"], ["pandabear", "ur5e"]),
+        (["report", "text.mcap"], ["text.mcap"]),
+        (["report", "RUN", "-o", "no_such_folder/x.html"], ["--output", "no_such_folder"]),
+        (["report", "RUN", "--csv", "no_such_folder/x.csv"], ["--csv", "no_such_folder"]),
+        (["report", "RUN", "--csv", "empty"], ["--csv", "empty", "folder"]),
         (["report", "RUN", "--png", "no_such_folder/x.png"], ["no_such_folder"]),
         (["recover", "no_such_bag"], ["no_such_bag"]),
         (["recover", "text.mcap"], ["text.mcap"]),
@@ -184,11 +188,32 @@ def test_replay_of_a_changed_bag_is_no(bags: Path, tmp_path: Path, capsys: pytes
 
 
 def test_report(bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    picture = tmp_path / "report.png"
-    code, out, err = run_main(capsys, "report", str(bags / "run"), "--png", str(picture), "--json")
+    files = {"report": tmp_path / "report.html", "picture": tmp_path / "report.png", "csv": tmp_path / "run.csv"}
+    names = ["-o", files["report"], "--png", files["picture"], "--csv", files["csv"]]
+    code, out, err = run_main(capsys, "report", str(bags / "run"), *map(str, names), "--json")
     assert (code, err) == (0, "")
-    assert json.loads(out)["picture"] == str(picture)
-    assert picture.read_bytes().startswith(b"\x89PNG")
+    answer = json.loads(out)
+    assert {name: answer[name] for name in files} == {name: str(file) for name, file in files.items()}
+    assert answer["headline"].startswith("It tracked within")
+    assert answer["identical"] is True
+    assert files["picture"].read_bytes().startswith(b"\x89PNG")
+    assert files["report"].read_text(encoding="utf-8").startswith("<!doctype html>")
+    assert files["csv"].read_text(encoding="utf-8").startswith("time_s,tool_x_m,")
+
+
+def test_report_of_targets_alone_and_without_pyarrow(
+    bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = run_main(capsys, "report", str(bags / "targets"))
+    assert code == 0
+    assert out.splitlines()[-1] == "report.html"
+    assert "nothing to compare" in out
+    assert Path("report.html").is_file()
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    code, out, err = run_main(capsys, "report", str(bags / "run"), "--parquet", "run.parquet")
+    assert (code, out) == (2, "")
+    assert "pip install" in one_line(err)
 
 
 def test_recover(bags: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 REPLAY_KEYS = {"commands", "identical", "first_difference", "max_difference", "real_time_factor", "position_rms_m",
                "position_max_m", "orientation_rms_rad", "orientation_max_rad"}  # fmt: skip
 KEYS = (REPLAY_KEYS - {"commands", "identical", "first_difference", "max_difference", "real_time_factor"}) | {
-    "bag", "picture", "cycles", "period_p50_us", "period_p99_us", "missed", "replay"}  # fmt: skip
+    "bag", "picture", "report", "cycles", "period_p50_us", "period_p99_us", "missed", "replay"}  # fmt: skip
 
 
 def test_demo_with_targets_of_ones_own(tmp_path: Path) -> None:
@@ -37,6 +37,7 @@ def test_demo_with_targets_of_ones_own(tmp_path: Path) -> None:
     assert answer["cycles"] > 250
     assert answer["position_rms_m"] is not None
     assert (tmp_path / answer["picture"]).read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / answer["report"]).read_text(encoding="utf-8").startswith("<!doctype html>")
     bag = open_bag(tmp_path / answer["bag"])
     assert bag.complete
     poses = bag.topic("/ik_controller/target_pose")
