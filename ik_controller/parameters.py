@@ -91,8 +91,16 @@ class ControllerParameters:
     acceleration_limits: tuple[float, ...] = parameter(
         (), "limits", "Joint acceleration limits; empty: full speed in 0.25 s.", unit="rad/s², m/s²", read_only=True
     )
+    jerk_limits: tuple[float, ...] = parameter(
+        (),
+        "limits",
+        "Joint jerk limits, .inf for a joint without one; empty: none.",
+        unit="rad/s³, m/s³",
+        read_only=True,
+    )
     velocity_scale: float = parameter(1.0, "limits", "Factor on all speed limits.", low=0.001, high=1.0)
     acceleration_scale: float = parameter(1.0, "limits", "Factor on all acceleration limits.", low=0.001, high=1.0)
+    jerk_scale: float = parameter(1.0, "limits", "Factor on all jerk limits.", low=0.001, high=1.0)
     # law
     gain: tuple[float, ...] = parameter(
         (50.0,),

@@ -70,5 +70,6 @@ def build_model(parameters: ControllerParameters, urdf: str | None = None) -> Ro
         upper=parameters.position_upper,
         velocity=parameters.velocity_limits,
         acceleration=parameters.acceleration_limits,
+        jerk=parameters.jerk_limits,
     )
     return model

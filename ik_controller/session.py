@@ -133,6 +133,7 @@ class Session:
                 self._restarting = self._running
         elif do == "reset":
             self._restarting = self._running
+            self.controller.clear_fault()
             self.targets.clear()
         elif do == "clock":  # time jumped: what was timed by it is of no use any more
             self._restarting = self._running
@@ -191,7 +192,7 @@ class Session:
         arrival = self.feedback_arrival
         fresh = arrival is not None and now - arrival <= self._feedback_timeout
         measured = self._measured if fresh else None
-        if self._restarting and not self.controller.velocity.any():
+        if self._restarting and not self.controller.fault and self.controller.at_rest:
             # The arm lags behind its commands: it comes to rest too before it is asked where it is.
             self._rest_since = now if self._rest_since is None else self._rest_since
             if now - self._rest_since >= self._feedback_timeout:
@@ -209,11 +210,15 @@ class Session:
         if reference is not None and reference.about is not None:
             reference = self._about_tool(reference, reference.about)
         self.reference = reference
+        rested = self.paused and self.controller.at_rest
         step = self.controller.step(measured, reference, self.dt)
         self.goal.watch(now, self.targets, measured, self.model, self.parameters)
+        if self.controller.fault:  # latched: it goes on holding until a reset
+            self.status = step.status
+            return None if rested else step
         if self.paused:
             step.status = step.status._replace(code=Code.PAUSED)
-        if (self.paused or measured is None) and not step.velocity.any():
+        if (self.paused or measured is None) and self.controller.at_rest:
             self._running = False
         self.status = step.status
         return step
@@ -253,6 +258,8 @@ class Session:
                 now += self.period
         scratch.apply('{"do": "pause"}')
         scratch.cycle(now)
+        scratch.controller.halt("rehearsal")
+        scratch.controller.step(q, None, scratch.dt)
 
     # -- the state, for a recording that starts in the middle of a run
 

@@ -1,7 +1,7 @@
 """Controller: one cycle of the closed loop, a pure function of its state and arguments.
 
-State is the last commanded position and velocity and the tool velocity that came of it, nothing else: the same calls
-from the same `reset` give the same bits.
+State is the last commanded position, velocity and acceleration, the tool velocity that came of it, and whether the gate
+has fired, nothing else: the same calls from the same `reset` give the same bits.
 """
 
 from __future__ import annotations
@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ik_controller.control.bounded import CLOSEST
-from ik_controller.control.kernel import NOT_FINITE, bounded_cycle, braking_factor, tool_cycle
+from ik_controller.control.gate import Gate
+from ik_controller.control.kernel import LAST, NOT_FINITE, bounded_cycle, braking_factor, tool_cycle
 from ik_controller.control.law import BRAKING_SHARE, Law
 from ik_controller.control.limits import JointLimits
 from ik_controller.control.reference import Reference
@@ -53,6 +54,9 @@ class Controller:
         self._n = model.n
         self._started = False  # has there been a `reset`?
         self._fresh = False
+        self._outside = False  # did the arm start outside its bounds, and has not come inside yet?
+        self.fault = ""
+        self._gate = Gate(model)
         self._keep(np.zeros(2 * model.n + 6))
         self.parameters = ControllerParameters()
         self.set_parameters(parameters or self.parameters)
@@ -68,7 +72,9 @@ class Controller:
             raise ParameterError(f"posture: {len(posture)} values, need {model.n}, one for each of {names}")
         self._law = Law(model, parameters)
         self.model = model
-        self._limits = JointLimits(self.model, parameters.velocity_scale, parameters.acceleration_scale)
+        self._limits = JointLimits(
+            model, parameters.velocity_scale, parameters.acceleration_scale, parameters.jerk_scale
+        )
         self._checked_dt = 1.0 / parameters.rate
         self.parameters = parameters
 
@@ -82,15 +88,23 @@ class Controller:
         """The last commanded velocity (n,)."""
         return self._v
 
+    @property
+    def at_rest(self) -> bool:
+        """Is the last command at rest, so that none need follow?"""
+        return not self._v.any() and self._limits.may_hold(self._gate.acceleration, self._checked_dt)
+
     def reset(self, q: ArrayLike) -> None:
-        """Start at the measured q (n,), at rest: the next step commands exactly q. Raises ArgumentError if it is no
-        q.
+        """Start at the measured q (n,), at rest: the next step commands exactly q. Clears a fault. Raises ArgumentError
+        if it is no q.
         """
         position = np.array(q, dtype=float)
         if position.shape != (self.model.n,) or not np.isfinite(position).all():
             raise ArgumentError(f"q: need {self.model.n} finite values, got {position.tolist()}")
         self._keep(np.concatenate((position, np.zeros(self._n + 6))))
         self._started = self._fresh = True
+        self._outside = bool(self._limits.outside(position).any())
+        self.fault = ""
+        self._gate.start(position)
 
     def _keep(self, state: Array) -> None:
         """Take a new state (2n + 6,): position, velocity, tool velocity."""
@@ -104,7 +118,9 @@ class Controller:
             "position": state[:n] if self._started else None,
             "velocity": state[n : 2 * n],
             "tool_velocity": state[2 * n :],
+            "acceleration": self._gate.acceleration.tolist(),
             "fresh": self._fresh,
+            "fault": self.fault,
         }
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -112,15 +128,37 @@ class Controller:
         self._started = state["position"] is not None
         position = state["position"] if self._started else [0.0] * self._n
         self._keep(np.array([*position, *state["velocity"], *state.get("tool_velocity", _ZERO)], dtype=float))
+        self._gate.memory[:] = self._q, self._v, state.get("acceleration", np.zeros(self._n))
         self._fresh = bool(state["fresh"])
+        self._outside = bool(self._limits.outside(self._q).any())
+        self.fault = str(state.get("fault", ""))
 
     def step(self, q_measured: Array | None, reference: Reference | None, dt: float) -> Step:
         """Advance one cycle of dt [s] and return the command for its end.
 
         `q_measured` (n,): the joints as measured, None if that is too old; `reference`: the set point, None if there is
         none: the arm then brakes within its limits and holds. Raises ArgumentError for a dt that is not positive,
-        ParameterError where gain times dt is above 1; conditions of the run are in the status.
+        ParameterError where gain times dt is above 1; conditions of the run are in the status. A command that is not
+        fit to publish is not returned: from there on the arm brakes and holds, with the code FAULT, until `reset`.
         """
+        if not self.fault:
+            step = self._advance(q_measured, reference, dt)
+            self.fault = self._gate.passes(step.position, step.velocity, dt)
+            if not self.fault:
+                return step
+        self._keep(np.concatenate((*self._gate.braking(dt), _ZERO)))
+        return Step(self._q, self._v, np.zeros(6), Status(Code.FAULT, reason=self.fault))
+
+    def halt(self, reason: str) -> None:
+        """Latch a fault that was found outside: from the next step on the arm brakes and holds."""
+        self.fault = reason
+
+    def clear_fault(self) -> None:
+        """Go on after a fault, from the command that is held."""
+        self.fault = ""
+
+    def _advance(self, q_measured: Array | None, reference: Reference | None, dt: float) -> Step:
+        """Return the next command, not yet seen by the gate."""
         if not self._started:
             if q_measured is None:
                 raise ArgumentError("step: call reset(q) with a measured position first")
@@ -141,6 +179,12 @@ class Controller:
         table = limits.table
         if base == "bounded" and q_measured is not None:
             table = limits.table_around(q_measured, self.parameters.max_deviation)
+        if limits.jerky:
+            table[LAST, : self._n] = self._gate.acceleration
+        if self._outside:
+            outside = limits.outside(q)
+            self._outside = bool(outside.any())
+            table = limits.table_returning(table, outside)
         if reference is not None and not reference.in_joint_space and q_measured is not None:
             return self._follow_tool(reference, q_measured if base == "measured" else q, dt, table)
         limits.update(q, v, dt, table)
@@ -205,10 +249,7 @@ class Controller:
 
     def _stop(self, dt: float, code: Code) -> Step:
         """Brake all joints as one, so that the arm stops along its joint-space direction, then hold."""
-        limits, v = self._limits, self._v
-        cycles = float((np.abs(v) / limits.acceleration).max()) / dt
-        keep = max(1.0 - 1.0 / cycles, 0.0) if cycles > 0.0 else 0.0
-        velocity = np.fmin(np.fmax(keep * v, limits.low), limits.high)
+        velocity = self._limits.stop(self._v, self._gate.acceleration, dt)
         if velocity.any() and code is Code.HOLDING:
             code = Code.STOPPING
         return self._commit(velocity, dt, np.zeros(6), Status(code))

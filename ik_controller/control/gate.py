@@ -48,6 +48,12 @@ class Gate:
         self._names = model.joint_names
         self.memory = np.zeros((3, model.n))
 
+    @property
+    def acceleration(self) -> Array:
+        """That of the last command that passed (n,)."""
+        acceleration: Array = self.memory[2]
+        return acceleration
+
     def start(self, q: Array) -> None:
         """Start at rest at q (n,), the measured position: the first command is exactly that."""
         self.memory[:] = 0.0

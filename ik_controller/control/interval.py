@@ -140,35 +140,37 @@ def highest(v: float, w: float, most: float, fastest: float, room: float) -> flo
 
 
 @compiled
-def apply_jerk(
-    q: Array,
-    v: Array,
-    a: Array,
+def jerk_interval(
+    v: float,
+    a: float,
     dt: float,
-    bounds: Array,
-    velocity: Array,
-    acceleration: Array,
-    jerk: Array,
-    reach: Array,
-) -> None:
-    """Overwrite the `kernel.velocity_interval` `reach` (2n,) of the joints that have a jerk limit.
+    up: float,
+    down: float,
+    fastest_up: float,
+    fastest_down: float,
+    acceleration: float,
+    jerk: float,
+) -> tuple[float, float]:
+    """Return the lowest and the highest next velocity of a joint.
 
-    q, v, a (n,): the commanded state with its last acceleration; dt [s]; `bounds`, `velocity`, `acceleration` (2n,) as
-    `velocity_interval` takes them; `jerk` (n,), inf where there is none.
+    v, a: its velocity and last acceleration; dt [s]; `up`, `down`: the room to its bounds; `fastest_…`, `acceleration`,
+    `jerk` (finite): its limits.
     """
-    n = q.shape[0]
-    for i in range(n):
-        unit = jerk[i] * dt * dt
-        if not unit < np.inf:
-            continue
-        speed, last, most = v[i] / unit, a[i] * dt / unit, acceleration[i] * dt / unit
-        up, down = max(bounds[i] - q[i], 0.0) / (unit * dt), max(bounds[n + i] + q[i], 0.0) / (unit * dt)
-        high = unit * highest(speed, last, most, velocity[i] / unit, up)
-        low = unit * highest(-speed, -last, most, velocity[n + i] / unit, down)
-        if high + low < 0.0:  # rounding: there is one way left
-            high = unit * (speed - stop_braking(speed, -last, most))
-            low = -high
-        reach[i], reach[n + i] = high, low
+    unit = jerk * dt * dt
+    speed, last, most = v / unit, a * dt / unit, acceleration * dt / unit
+    high = unit * highest(speed, last, most, fastest_up / unit, max(up, 0.0) / (unit * dt))
+    low = -unit * highest(-speed, -last, most, fastest_down / unit, max(down, 0.0) / (unit * dt))
+    if low > high:  # rounding: there is one way left
+        low = high = unit * (speed - stop_braking(speed, -last, most))
+    return low, high
+
+
+@compiled
+def lets_go(v: float, change: float, fastest: float, unit: float) -> bool:
+    """Tell whether a joint that goes at v, faster by `change` than a cycle before, ends at `fastest` when it takes its
+    acceleration away, by `unit` J dt² a cycle.
+    """
+    return v + unit * ramp_sum(max(change / unit - 1.0, 0.0)) > fastest - 1e-6 * unit
 
 
 @compiled

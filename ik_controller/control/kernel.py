@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.control.bounded import bounded_velocity
+from ik_controller.control.interval import jerk_interval, lets_go
 from ik_controller.kinematics.accelerate import compiled
 from ik_controller.kinematics.damped_inverse import damped_gram_inverse
 from ik_controller.kinematics.levenberg_marquardt import kinematics, kinematics_pose, rotation_log
@@ -27,12 +28,15 @@ FASTEST_APPROACH = 1.5  # [m/s]
 FASTEST_TURN = 3.0  # [rad/s]
 
 
-# Rows of the table of limits (5, 2n); each holds its values upward (first n) and downward (last n).
+# Rows of the table of limits (5, 2n), or (7, 2n) where joints have jerk limits; each holds its values upward (first n)
+# and downward (last n).
 BOUNDS = 0  # upper limits, then negated lower ones: those of this cycle [rad or m]
 VELOCITY = 1
 ACCELERATION = 2
 JOINT_BOUNDS = 3  # the model's own
 FULL_ACCELERATION = 4  # the model's own
+JERK = 5  # first n, inf for a joint without one; last n: the model's own
+LAST = 6  # first n: the last accelerations; last n: the model's own velocity limits
 
 # Rows of the table of the law (10, max(n, 6)): K (6, 6), scalars, and what is given for each joint.
 SCALARS = 6  # largest eigenvalue of K, gain of the posture, λ, ε
@@ -50,8 +54,8 @@ NOT_FINITE = -1
 def velocity_interval(q: Array, v: Array, dt: float, limits: Array, reserve: bool, reach: Array) -> None:
     """Write the velocities (2n,) that each joint may reach upward (first n) and downward (last n, negated).
 
-    q, v (n,): the commanded state; dt [s]; `limits` (5, 2n). With `reserve`, an acceleration limit below the model's
-    own is left where only the model's own still stops a joint before its bound.
+    q, v (n,): the commanded state; dt [s]; `limits` (5 or 7, 2n). With `reserve`, an acceleration or jerk limit below
+    the model's own is left where only the model's own still stops a joint before its bound.
     """
     n = q.shape[0]
     for i in range(2 * n):
@@ -66,6 +70,27 @@ def velocity_interval(q: Array, v: Array, dt: float, limits: Array, reserve: boo
             lowest = -fastest_stoppable(-q[i], -v[i], dt, down, math.inf, limits[FULL_ACCELERATION, n + i])
             reach[i] = min(max(reach[i], lowest), highest)
             reach[n + i] = min(max(reach[n + i], -highest), -lowest)
+    if limits.shape[0] > JERK:
+        apply_jerk(q, v, dt, limits, reserve, reach)
+
+
+@compiled
+def apply_jerk(q: Array, v: Array, dt: float, limits: Array, reserve: bool, reach: Array) -> None:
+    """Overwrite the `velocity_interval` (2n,) of the joints that have a jerk limit."""
+    n = q.shape[0]
+    for i in range(n):
+        jerk, full_jerk, a = limits[JERK, i], limits[JERK, n + i], limits[LAST, i]
+        if not jerk < math.inf:
+            continue
+        up, down = limits[BOUNDS, i] - q[i], limits[BOUNDS, n + i] + q[i]
+        speed_up, speed_down = limits[VELOCITY, i], limits[VELOCITY, n + i]
+        lowest, highest = jerk_interval(v[i], a, dt, up, down, speed_up, speed_down, limits[ACCELERATION, i], jerk)
+        if reserve:
+            up, down = limits[JOINT_BOUNDS, i] - q[i], limits[JOINT_BOUNDS, n + i] + q[i]
+            speed, acceleration = limits[LAST, n + i], limits[FULL_ACCELERATION, i]
+            least, most = jerk_interval(v[i], a, dt, up, down, speed, speed, acceleration, full_jerk)
+            lowest, highest = min(max(lowest, least), most), min(max(highest, least), most)
+        reach[i], reach[n + i] = highest, -lowest
 
 
 @compiled
@@ -98,10 +123,17 @@ def held_by(joint: int, wanted: float, v: Array, dt: float, limits: Array, reach
     up = wanted > 0.5 * (reach[joint] - reach[n + joint])
     bound = reach[joint] if up else -reach[n + joint]
     acceleration, velocity = limits[ACCELERATION, joint], limits[VELOCITY, joint]
-    if abs(abs(bound - v[joint]) - acceleration * dt) < 1e-9 * acceleration:
+    change = bound - v[joint]
+    if abs(abs(change) - acceleration * dt) < 1e-9 * acceleration:
         return BY_ACCELERATION
     if abs(abs(bound) - velocity) < 1e-9 * velocity:
         return BY_VELOCITY
+    if limits.shape[0] > JERK and limits[JERK, joint] < math.inf:
+        jolt = limits[JERK, joint] * dt * dt
+        if abs(abs(change - limits[LAST, joint] * dt) - jolt) < 1e-6 * jolt:
+            return BY_JERK
+        if lets_go(abs(bound), abs(change), velocity, jolt):
+            return BY_VELOCITY
     return BY_POSITION
 
 
@@ -232,11 +264,12 @@ def bounded_cycle(
         fits = fits and joint < 0
     velocity = wanted
     if not fits:
-        excess = 0.0
+        excess, speeds = 0.0, np.empty(n)
         for j in range(n):
             if not math.isfinite(wanted[j]):
                 return NOT_FINITE, 0.0, j, FREE
-            over = max(wanted[j] - reach[j], -wanted[j] - reach[n + j]) / limits[VELOCITY, j]
+            speeds[j] = max(limits[VELOCITY, j], limits[VELOCITY, n + j])  # one is 0 for a joint outside its bounds
+            over = max(wanted[j] - reach[j], -wanted[j] - reach[n + j]) / speeds[j]
             if over > excess:
                 excess, joint = over, j
         if excess > 0.0:
@@ -246,9 +279,7 @@ def bounded_cycle(
             step[j] = limits[ACCELERATION, j] * dt
         low, high = -reach[n:], reach[:n]
         g, bounds = (np.empty((0, n)), np.empty(0)) if rows is None else (rows, row_bounds)
-        scale, how = bounded_velocity(
-            wanted, jacobian, state[2 * n :], low, high, limits[VELOCITY, :n], step, g, bounds, velocity
-        )
+        scale, how = bounded_velocity(wanted, jacobian, state[2 * n :], low, high, speeds, step, g, bounds, velocity)
     for j in range(n):
         out[j] = q[j] + dt * velocity[j]
         out[n + j] = velocity[j]

@@ -9,8 +9,10 @@ v²/(2a) is the braking distance in continuous time; braking in steps of a·dt n
 accepted state the command v − a·dt is accepted too: the interval never becomes empty. Solved for v, the last one is
 v ≤ a (√(dt² + 2 (q_max − q_k)/a) − dt). A joint that starts outside its bounds may hold or move inward.
 
-Where the scale on accelerations is lowered while a joint moves towards its bound, the scaled acceleration may no longer
-stop it in time: then, and only then, it brakes with as much of the model's own limit as that takes.
+A joint with a jerk limit has its own exact form of all this, in `interval`.
+
+Where the scale on accelerations or jerks is lowered while a joint moves towards its bound, the scaled limit may no
+longer stop it in time: then, and only then, it brakes with as much of the model's own limit as that takes.
 """
 
 from __future__ import annotations
@@ -18,11 +20,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ik_controller.control.kernel import BOUNDS, held_by, velocity_interval
+from ik_controller.control.interval import stop_together
+from ik_controller.control.kernel import BOUNDS, JOINT_BOUNDS, VELOCITY, held_by, velocity_interval
 from ik_controller.control.status import LIMITS, Limit
 from ik_controller.kinematics.model import RobotModel
 
 Array = NDArray[np.float64]
+
+# A joint beyond its bound by more than this share of it (or of 1) is outside: it comes back at this share of its speed.
+_OUTSIDE = 1e-9
+_RETURN_SPEED = 0.1
 
 
 class JointLimits:
@@ -31,22 +38,36 @@ class JointLimits:
     Both sides stand in one array, upward first, downward negated behind it, so that they are worked out at once.
     """
 
-    def __init__(self, model: RobotModel, velocity_scale: float = 1.0, acceleration_scale: float = 1.0) -> None:
-        """Take limits from the model; the scales multiply speed and acceleration."""
+    def __init__(
+        self,
+        model: RobotModel,
+        velocity_scale: float = 1.0,
+        acceleration_scale: float = 1.0,
+        jerk_scale: float = 1.0,
+    ) -> None:
+        """Take limits from the model; the scales multiply speed, acceleration and jerk."""
         self.velocity: Array = model.velocity_limit * velocity_scale
         self.acceleration: Array = model.acceleration_limit * acceleration_scale
+        self.jerk: Array = model.jerk_limit * jerk_scale
+        self.jerky = bool(np.isfinite(self.jerk).any())
         own = np.concatenate((model.upper, -model.lower))
         # Rows as `kernel` numbers them.
-        self.table = np.vstack(
-            (
-                own,
-                np.tile(self.velocity, 2),
-                np.tile(self.acceleration, 2),
-                own,
-                np.tile(model.acceleration_limit, 2),
-            )
-        )
-        self.reserve = acceleration_scale < 1.0  # does the scale hold back some of the model's own acceleration?
+        rows = [
+            own,
+            np.tile(self.velocity, 2),
+            np.tile(self.acceleration, 2),
+            own,
+            np.tile(model.acceleration_limit, 2),
+        ]
+        if self.jerky:
+            rows += [
+                np.concatenate((self.jerk, model.jerk_limit)),
+                np.concatenate((np.zeros(model.n), model.velocity_limit)),
+            ]
+        self.table = np.vstack(rows)
+        # Do the scales hold back some of the model's own acceleration or jerk?
+        self.reserve = acceleration_scale < 1.0 or (self.jerky and jerk_scale < 1.0)
+        self._outside_by = _OUTSIDE * np.fmax(np.abs(own), 1.0)
         self._n = model.n
         self._reach = np.concatenate((self.velocity, self.velocity))
         self._used = self.table
@@ -70,6 +91,35 @@ class JointLimits:
         table: Array = self.table.copy()
         table[BOUNDS] = np.fmin(table[BOUNDS], np.concatenate((q + deviation, deviation - q)))
         return table
+
+    def outside(self, q: Array) -> Array:
+        """Return which of q (n,) are beyond their upper bounds (first n) and beyond their lower ones (last n)."""
+        result: Array = np.concatenate((q, -q)) - self.table[JOINT_BOUNDS] > self._outside_by
+        return result
+
+    def table_returning(self, table: Array, outside: Array) -> Array:
+        """Return a table in which joints `outside` (2n,) have no speed outward, and a slow one inward."""
+        inward = np.concatenate((outside[self._n :], outside[: self._n]))
+        slowed: Array = table.copy()
+        slowed[VELOCITY] *= np.where(outside, 0.0, np.where(inward, _RETURN_SPEED, 1.0))
+        return slowed
+
+    def stop(self, v: Array, a: Array, dt: float) -> Array:
+        """Return the velocities (n,) that brake all joints as one, in their joint-space direction, after `update`.
+
+        v, a (n,): velocity and last acceleration.
+        """
+        if self.jerky:
+            slower = stop_together(v, a, dt, self.acceleration, self.jerk)
+        else:
+            cycles = float((np.abs(v) / self.acceleration).max()) / dt
+            slower = (max(1.0 - 1.0 / cycles, 0.0) if cycles > 0.0 else 0.0) * v
+        result: Array = np.fmin(np.fmax(slower, self.low), self.high)
+        return result
+
+    def may_hold(self, a: Array, dt: float) -> bool:
+        """Tell whether a joint at rest, its last acceleration a (n,), may stay so."""
+        return not self.jerky or bool((np.abs(a) <= self.jerk * dt * (1.0 + 1e-9)).all())
 
     def which(self, joint: int, wanted: float, v: Array, dt: float) -> Limit:
         """Return which limit of `joint` keeps it from the `wanted` velocity; for the status."""

@@ -7,9 +7,14 @@ import math
 import arms
 import numpy as np
 import pytest
+import wire
+from motions import started
 
-from ik_controller import RobotModel
+import ik_controller.control.controller as controller_module
+from ik_controller import Controller, Reference, RobotModel
 from ik_controller.control.gate import Gate
+from ik_controller.control.status import Code
+from ik_controller.session import Session
 
 DT = 1e-3
 
@@ -81,3 +86,87 @@ def test_where_braking_itself_is_unfit_the_last_position_is_held():
     q, v = checked.braking(DT)
     np.testing.assert_array_equal(q, last)
     assert not v.any()
+
+
+# -- in the loop
+
+
+def corrupted(monkeypatch, change) -> None:
+    """From here on the law asks for something else, and the limits' own code lets it through."""
+    kernel_cycle = controller_module.tool_cycle
+
+    def cycle(*arguments):
+        outcome = kernel_cycle(*arguments)
+        change(arguments[-1])
+        return True, *outcome[1:]
+
+    monkeypatch.setattr(controller_module, "tool_cycle", cycle)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda command: command.__setitem__((1, 2), math.nan), "the command of joint 'panda_joint3' is not finite"),
+        (lambda command: command.__iadd__([[0.2], [0.2 * DT]]), "'panda_joint1' would exceed its acceleration limit"),
+        (lambda command: command.__iadd__([[0.0], [0.1]]), "position of joint 'panda_joint1' does not follow"),
+    ],
+)
+def test_a_corrupted_law_is_stopped_and_the_fault_is_latched(panda, monkeypatch, change, reason):
+    controller, q = started(panda), panda.home
+    target = Reference.velocity([0.1, 0.0, 0.05, 0.0, 0.0, 0.0])
+    for _ in range(60):
+        q = controller.step(q, target, DT).position
+    v = controller.velocity.copy()
+    assert np.abs(v).max() > 0.05
+    with monkeypatch.context() as patch:
+        corrupted(patch, change)
+        step = controller.step(q, target, DT)
+    for k in range(400):
+        assert step.status.code is Code.FAULT
+        assert reason in step.status.sentence()
+        np.testing.assert_allclose(step.position, q + DT * step.velocity, atol=1e-15)
+        assert (np.abs(step.velocity - v) <= panda.model.acceleration_limit * DT * (1 + 1e-9)).all()
+        q, v = step.position, step.velocity
+        if k == 200:
+            two = Controller(panda.model, panda.parameters)  # the fault is part of the state
+            two.restore(controller.state())
+            controller = two
+        step = controller.step(q, target, DT)
+    assert not v.any()
+    controller.reset(q)
+    for _ in range(3):
+        step = controller.step(q, target, DT)
+    assert step.status.code is Code.TRACKING
+    assert step.velocity.any()
+
+
+def test_a_fault_outlives_pause_and_loss_of_feedback_and_ends_with_reset(panda):
+    """The session: what clears everything else does not clear a fault."""
+    session = Session(panda.model, panda.parameters)
+    state = wire.joints(panda.model.joint_names, panda.home)
+    now = 0
+
+    def cycles(count: int, feedback: bool = True):
+        nonlocal now
+        step = None
+        for _ in range(count):
+            now += session.period
+            if feedback:
+                session.take("joint_states", state, now)
+            step = session.cycle(now)
+        return step
+
+    cycles(3)
+    session.controller.halt("a test")
+    assert cycles(1).status.code is Code.FAULT
+    for event in ('{"do": "pause"}', '{"do": "resume"}', '{"do": "parameters", "values": {"velocity_scale": 0.5}}'):
+        session.apply(event)
+        cycles(400)
+        assert session.status.code is Code.FAULT
+    cycles(400, feedback=False)
+    cycles(400)
+    assert session.status.code is Code.FAULT
+    assert "fault: a test; reset to go on" in session.status.sentence()
+    session.apply('{"do": "reset"}')
+    cycles(400)
+    assert session.status.code is Code.HOLDING

@@ -1,4 +1,4 @@
-"""The published stream stays within position, velocity and acceleration limits, whatever is asked of it."""
+"""The published stream stays within position, velocity, acceleration and jerk limits, whatever is asked of it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,13 @@ from ik_controller import Controller, ControllerParameters, Reference, RobotMode
 from ik_controller.control.status import Code, Limit
 
 DT = 1e-3
-ARMS = ["panda", "ur5e", "scara", "skewed_7", "planar_2r", "planar_3r"]
+ARMS = ["panda", "ur5e", "scara", "skewed_7", "planar_2r", "planar_3r", "panda jerk", "ur5e jerk", "scara jerk"]
+# rad/s³, as libfranka states them; soft ones, of which a ramp takes a tenth of a second; and joints without one.
+JERKS = {
+    "panda jerk": [7500, 3750, 5000, 6250, 7500, 10000, 10000],
+    "ur5e jerk": [60, 60, math.inf, 100, 1e5, 80],
+    "scara jerk": [40, 300, 20, math.inf],
+}
 
 
 @functools.cache
@@ -24,6 +30,12 @@ def arm(name: str) -> Robot:
     """A bundled robot, or a small arm: prismatic joints, fewer joints than the task has rows."""
     if name in ("panda", "ur5e"):
         return bundled(name)
+    if name.endswith(" jerk"):
+        plain = arm(name.removesuffix(" jerk"))
+        model = RobotModel.from_urdf(plain.model.urdf_text, plain.model.tip_frame, plain.model.base_frame)
+        limits = plain.model.velocity_limit, plain.model.acceleration_limit
+        model.set_limits(velocity=limits[0], acceleration=limits[1], jerk=JERKS[name])
+        return Robot(model, plain.parameters, plain.home)
     model = RobotModel.from_urdf(getattr(arms, name)(), "tool")
     return Robot(model, ControllerParameters(), model.middle() + 0.1)
 
@@ -34,7 +46,7 @@ class Watch:
     def __init__(self, controller: Controller) -> None:
         model = controller.model
         self.controller, self.model = controller, model
-        self.q, self.v = controller.position.copy(), controller.velocity.copy()
+        self.q, self.v, self.a = controller.position.copy(), controller.velocity.copy(), np.zeros(self.model.n)
         # What may be outside: a joint that starts outside its bounds, as far as it has come back.
         self.lower, self.upper = np.fmin(model.lower, self.q), np.fmax(model.upper, self.q)
 
@@ -48,16 +60,23 @@ class Watch:
         acceleration = model.acceleration_limit * (acceleration_scale or 1.0)
         step_limit = acceleration * dt * (1 + 1e-9) + 1e-14
         assert (np.abs(v - self.v) <= step_limit).all()
+        assert step.status.code is not Code.FAULT, step.status.reason
+        a = (v - self.v) / dt
+        rounding = 1e-15 * (np.abs(v) + np.abs(self.v)) / dt
+        assert (np.abs(a - self.a) <= model.jerk_limit * dt * (1 + 1e-9) + rounding).all()
         limit = model.velocity_limit * parameters.velocity_scale
         # Above a limit that has just been lowered: only while it brakes as hard as it may.
         scaled = model.acceleration_limit * parameters.acceleration_scale
         braking = np.abs(v) <= np.abs(self.v) - scaled * dt * (1 - 1e-9) + 1e-12
-        assert ((np.abs(v) <= limit * (1 + 1e-9)) | braking).all()
+        jerky = np.isfinite(model.jerk_limit)  # such a joint comes down as its jerk limit allows
+        scaled_down = parameters.velocity_scale < 1.0
+        assert ((np.abs(v) <= limit * (1 + 1e-9)) | braking | (jerky & scaled_down)).all()
+        assert (np.abs(v) <= model.velocity_limit * (1 + 1e-9)).all()
         margin = 1e-9 * np.fmax(np.abs(q), 1.0)
         assert (q <= self.upper + margin).all()
         assert (q >= self.lower - margin).all()
         self.lower, self.upper = np.fmin(model.lower, q), np.fmax(model.upper, q)
-        self.q, self.v = q, v
+        self.q, self.v, self.a = q, v, a
 
 
 KINDS = [
@@ -149,7 +168,7 @@ def test_limits_hold_while_the_cycle_time_varies(name, schedule, seed):
     run(controller, schedule, rng, times=lambda rng: 10.0 ** rng.uniform(-4.0, -1.5), acceleration_scale=1.0)
 
 
-@pytest.mark.parametrize("name", ["panda", "ur5e", "skewed_7"])
+@pytest.mark.parametrize("name", ["panda", "ur5e", "skewed_7", "panda jerk", "ur5e jerk"])
 @settings(max_examples=8)
 @given(schedule=schedules(), seed=st.integers(0, 2**32 - 1))
 def test_limits_hold_while_the_scales_change(name, schedule, seed):
@@ -159,14 +178,14 @@ def test_limits_hold_while_the_scales_change(name, schedule, seed):
 
     def change(rng: np.random.Generator) -> None:
         if rng.random() < 0.02:
-            scales = 10.0 ** rng.uniform(-2.0, 0.0, 2)
-            changes = {"velocity_scale": scales[0], "acceleration_scale": scales[1]}
+            scales = 10.0 ** rng.uniform(-2.0, 0.0, 3)
+            changes = {"velocity_scale": scales[0], "acceleration_scale": scales[1], "jerk_scale": scales[2]}
             controller.set_parameters(everything.replace(changes))
 
     run(controller, schedule, rng, before=change)
 
 
-@pytest.mark.parametrize("name", ["panda", "planar_3r"])
+@pytest.mark.parametrize("name", ["panda", "planar_3r", "scara jerk"])
 @settings(max_examples=8)
 @given(schedule=schedules(), seed=st.integers(0, 2**32 - 1))
 def test_joints_that_start_outside_their_bounds_only_move_inward(name, schedule, seed):
@@ -175,7 +194,31 @@ def test_joints_that_start_outside_their_bounds_only_move_inward(name, schedule,
     q = np.clip(arm(name).home, -6, 6)
     outside = rng.random(model.n) < 0.5
     q = np.where(outside, np.where(rng.random(model.n) < 0.5, model.lower - 0.2, model.upper + 0.1), q)
-    run(started(arm(name), q), schedule, rng, acceleration_scale=1.0)
+    controller = started(arm(name), q)
+
+    def slowly(rng: np.random.Generator) -> None:
+        q, v = controller.position, controller.velocity
+        beyond = (q > model.upper + 1e-9) | (q < model.lower - 1e-9)
+        assert (np.abs(v) <= np.where(beyond, 0.1, 1.0) * model.velocity_limit * (1 + 1e-9)).all()
+
+    run(controller, schedule, rng, before=slowly, acceleration_scale=1.0)
+
+
+@pytest.mark.parametrize("name", ["panda", "panda jerk"])
+def test_a_joint_outside_comes_in_when_it_may_and_rests_when_pulled_outward(name):
+    robot = arm(name)
+    model, q = robot.model, robot.home.copy()
+    q[1] = model.upper[1] + 0.05
+    controller = started(robot, q)
+    outward = q.copy()
+    outward[1] += 0.3
+    for _ in range(200):
+        step = controller.step(controller.position, Reference.joint(outward), DT)
+    np.testing.assert_array_equal(step.position, q)
+    assert "position limit of 'panda_joint2'" in step.status.sentence(model.joint_names)
+    for _ in range(3000):
+        step = controller.step(controller.position, Reference.joint(robot.home), DT)
+    np.testing.assert_allclose(step.position, robot.home, atol=1e-9)
 
 
 @pytest.mark.parametrize("scale", [0.05, 0.3])
@@ -282,7 +325,8 @@ def test_the_approach_to_a_far_target_does_not_overshoot(robot, seed):
 def test_braking_stops_all_joints_together_in_the_shortest_time(schedule, seed):
     """From any state: straight in joint space, as fast as the slowest joint can, then holding."""
     rng = np.random.default_rng(seed)
-    robot = arm(ARMS[seed % len(ARMS)])
+    plain = [name for name in ARMS if name not in JERKS]
+    robot = arm(plain[seed % len(plain)])
     controller = started(robot)
     run(controller, [*schedule, ("twist", 40, False)], rng, acceleration_scale=1.0)
     q, v = controller.position, controller.velocity.copy()
@@ -300,6 +344,27 @@ def test_braking_stops_all_joints_together_in_the_shortest_time(schedule, seed):
     assert step.status.code is Code.HOLDING
     assert moving <= expected / DT + 1
     assert np.abs(watch.q - q).max() <= np.abs(v).max() * expected / 2 + 1e-9
+
+
+@pytest.mark.parametrize("name", JERKS)
+def test_braking_with_jerk_limits_ends_at_rest_in_good_time(name):
+    """As long as the slowest joint takes by itself, and once more for taking its acceleration away."""
+    rng = np.random.default_rng(5)
+    robot = arm(name)
+    for _ in range(4):
+        controller = started(robot)
+        watch = Watch(controller)
+        reference, _ = reference_of("jump", robot.model, watch.q, rng)
+        for _ in range(int(rng.integers(20, 300))):
+            watch.check(controller.step(watch.q, reference, DT), DT, 1.0)
+        finite = np.where(np.isfinite(robot.model.jerk_limit), robot.model.jerk_limit, 1e9)
+        ramp = robot.model.acceleration_limit / finite
+        longest = np.max(np.abs(watch.v) / robot.model.acceleration_limit + 4.0 * ramp)
+        for _ in range(int(2.0 * longest / DT) + 10):
+            step = controller.step(watch.q, None, DT)
+            watch.check(step, DT, 1.0)
+        assert step.status.code is Code.HOLDING
+        assert controller.at_rest
 
 
 def test_a_reference_that_is_not_finite_stops_the_arm(panda):
