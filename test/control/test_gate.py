@@ -10,7 +10,6 @@ import pytest
 import wire
 from motions import started
 
-import ik_controller.control.controller as controller_module
 from ik_controller import Controller, Reference, RobotModel
 from ik_controller.control.gate import Gate
 from ik_controller.control.status import Code
@@ -91,27 +90,27 @@ def test_where_braking_itself_is_unfit_the_last_position_is_held():
 # -- in the loop
 
 
-def corrupted(monkeypatch, change) -> None:
-    """From here on the law asks for something else, and the limits' own code lets it through."""
-    kernel_cycle = controller_module.tool_cycle
+def corrupted(monkeypatch, further, faster) -> None:
+    """From here on the law asks for something else, and nothing before the gate minds."""
+    advance = Controller._advance
 
-    def cycle(*arguments):
-        outcome = kernel_cycle(*arguments)
-        change(arguments[-1])
-        return True, *outcome[1:]
+    def corrupt(self, *arguments):
+        step = advance(self, *arguments)
+        step.position, step.velocity = step.position + further, step.velocity + faster
+        return step
 
-    monkeypatch.setattr(controller_module, "tool_cycle", cycle)
+    monkeypatch.setattr(Controller, "_advance", corrupt)
 
 
 @pytest.mark.parametrize(
-    ("change", "reason"),
+    ("further", "faster", "reason"),
     [
-        (lambda command: command.__setitem__((1, 2), math.nan), "the command of joint 'panda_joint3' is not finite"),
-        (lambda command: command.__iadd__([[0.2], [0.2 * DT]]), "'panda_joint1' would exceed its acceleration limit"),
-        (lambda command: command.__iadd__([[0.0], [0.1]]), "position of joint 'panda_joint1' does not follow"),
+        ([0, 0, math.nan, 0, 0, 0, 0], 0.0, "the command of joint 'panda_joint3' is not finite"),
+        (0.2 * DT, 0.2, "joint 'panda_joint1' would exceed its acceleration limit"),
+        (0.1, 0.0, "the commanded position of joint 'panda_joint1' does not follow from its velocity"),
     ],
 )
-def test_a_corrupted_law_is_stopped_and_the_fault_is_latched(panda, monkeypatch, change, reason):
+def test_a_corrupted_law_is_stopped_and_the_fault_is_latched(panda, monkeypatch, further, faster, reason):
     controller, q = started(panda), panda.home
     target = Reference.velocity([0.05, 0.0, 0.02, 0.0, 0.0, 0.0])
     for _ in range(300):
@@ -119,7 +118,7 @@ def test_a_corrupted_law_is_stopped_and_the_fault_is_latched(panda, monkeypatch,
     v = controller.velocity.copy()
     assert np.abs(v).max() > 0.02
     with monkeypatch.context() as patch:
-        corrupted(patch, change)
+        corrupted(patch, further, faster)
         step = controller.step(q, target, DT)
     for k in range(400):
         assert step.status.code is Code.FAULT
