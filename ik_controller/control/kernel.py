@@ -132,7 +132,7 @@ def held_by(joint: int, wanted: float, v: Array, dt: float, limits: Array, reach
         jolt = limits[JERK, joint] * dt * dt
         if abs(abs(change - limits[LAST, joint] * dt) - jolt) < 1e-6 * jolt:
             return BY_JERK
-        if lets_go(abs(bound), abs(change), velocity, jolt):
+        if velocity > 0.0 and lets_go(abs(bound), abs(change), velocity, jolt):
             return BY_VELOCITY
     return BY_POSITION
 
