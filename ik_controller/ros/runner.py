@@ -229,5 +229,6 @@ class Runner:
         if self._transforms.waiting:
             notes.append(("transform", self._transforms.waiting))
         if isinstance(self._loop, SimulatedLoop) and self._loop.stands:
-            notes.append(("clock", "the simulated time stands still: nothing is commanded"))
+            paused = ", and it is paused" if self.session.paused else ""
+            notes.append(("clock", f"the simulated time stands still: nothing is commanded{paused}"))
         return notes
