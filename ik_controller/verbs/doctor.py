@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+import contextlib
 from typing import TYPE_CHECKING
 
 from ik_controller.errors import IkControllerError
+from ik_controller.findings import Finding
 from ik_controller.verbs.common import (
     add_json_argument,
     add_model_arguments,
@@ -20,27 +21,21 @@ from ik_controller.verbs.common import (
 if TYPE_CHECKING:
     from ik_controller.kinematics.model import RobotModel
     from ik_controller.parameters import ControllerParameters
+    from ik_controller.ros.graph import Graph
 
-HELP = "check parameters and robot model: what is wrong, and how to mend it"
+HELP = "check parameters, robot model and the ROS graph: what is wrong, and how to mend it"
 
+_ROBOT = ("robot", "urdf")
 _FAST_BRAKE = 2.0  # [s] that no arm's joint should need to stop from full speed
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's arguments."""
     add_params_argument(parser, "to check")
+    parser.add_argument("--offline", action="store_true", help="do not look at the ROS graph that is up")
+    parser.add_argument("--seconds", type=float, default=4.0, metavar="S", help="how long to look at it (4)")
     add_model_arguments(parser, default="panda")
     add_json_argument(parser)
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One finding: `level` is "error", "warning" or "ok"."""
-
-    level: str
-    subject: str
-    message: str
-    remedy: str = ""
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -48,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
     findings = examine(arguments)
     ok = all(finding.level == "ok" for finding in findings)
     if arguments.json:
-        print_json({"ok": ok, "findings": [vars(finding) for finding in findings]})
+        print_json({"ok": ok, "findings": [finding._asdict() for finding in findings]})
     else:
         print_table([(f.level, f"{f.subject}: {f.message}{'; ' + f.remedy if f.remedy else ''}") for f in findings])
         print("all is well" if ok else "something is wrong")
@@ -56,23 +51,59 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def examine(arguments: argparse.Namespace) -> list[Finding]:
-    """Return the findings on the configuration that the arguments name."""
-    from ik_controller.robots import build_model
+    """Return the findings on the configuration that the arguments name, and on the graph that is up."""
+    from ik_controller.parameters import ControllerParameters
 
     findings: list[Finding] = []
     try:
         values = values_from(arguments)
-        parameters = parameters_from(arguments, values)
+        # A file that names only frames leaves the URDF to the topic robot_description.
+        by_topic = "tip_frame" in values and not any((arguments.robot, arguments.urdf, *map(values.get, _ROBOT)))
+        parameters = ControllerParameters.from_mapping(values) if by_topic else parameters_from(arguments, values)
     except IkControllerError as error:
         return [Finding("error", "parameters", str(error), "correct the parameter file or the arguments")]
     findings.append(Finding("ok", "parameters", f"{len(values)} values read, all within bounds"))
+    with contextlib.ExitStack() as stack:
+        graph = None if arguments.offline else _graph(arguments, stack, findings)
+        model = _model(parameters, None if graph is None else graph.description, findings)
+        if model is not None:
+            findings += _limits(model) + _law(model, parameters)
+        if graph is not None:
+            findings += graph.findings(model, parameters)
+    return findings
+
+
+def _graph(arguments: argparse.Namespace, stack: contextlib.ExitStack, findings: list[Finding]) -> Graph | None:
+    """Return a look at the running graph, None where there is none."""
     try:
-        model = build_model(parameters)
+        from ik_controller.ros.graph import Graph
+    except ImportError:
+        findings.append(Finding("ok", "graph", "ROS is not installed: nothing live was checked"))
+        return None
+    graph = Graph(arguments.node or "/ik_controller")
+    stack.callback(graph.close)
+    if graph.listen(arguments.seconds):
+        return graph
+    findings.append(Finding("ok", "graph", "no other node is up: nothing live was checked"))
+    return None
+
+
+def _model(parameters: ControllerParameters, description: str | None, findings: list[Finding]) -> RobotModel | None:
+    from ik_controller.robots import build_model, urdf_text
+
+    try:
+        text = urdf_text(parameters)
+        if text is None and description is None:
+            message = "neither the parameters nor a topic robot_description name a URDF"
+            findings.append(Finding("error", "robot", message, "give robot or urdf, or start robot_state_publisher"))
+            return None
+        model = build_model(parameters, text or description)
     except IkControllerError as error:
-        return [*findings, Finding("error", "robot", str(error), "name a robot, or a URDF with tip and base frame")]
+        findings.append(Finding("error", "robot", str(error), "name a robot, or a URDF with tip and base frame"))
+        return None
     chain = f"{model.n} joints from '{model.base_frame}' to '{model.tip_frame}'"
     findings.append(Finding("ok", "robot", chain))
-    return findings + _limits(model) + _law(model, parameters)
+    return model
 
 
 def _limits(model: RobotModel) -> list[Finding]:

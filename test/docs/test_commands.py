@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import re
 import shlex
 import shutil
@@ -62,6 +63,7 @@ def test_command(command, tmp_path):
     process = subprocess.run(
         [sys.executable, "-m", "ik_controller.cli", *words[1:]],
         cwd=tmp_path,
+        env={**os.environ, "ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"},  # what else runs on this machine is not ours
         capture_output=True,
         text=True,
         timeout=300,
