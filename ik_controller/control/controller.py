@@ -31,7 +31,7 @@ _ZERO = np.zeros(6)
 _NO_POSE = np.zeros(3), np.eye(3)
 
 
-@dataclass
+@dataclass(slots=True)
 class Step:
     """The outcome of one cycle: the command for its end, and what was seen at its start.
 

@@ -180,21 +180,22 @@ class JointStateReader:
         self._at = 0
         self._order: NDArray[np.intp] | None = None  # None: as in the message, all of them
         self._count = 0
-        self._fixed: tuple[slice, ...] = ()  # header, frame and names with all counts: where they are,
-        self._learned: tuple[bytes, ...] = ()  # and what they were
+        self._learned = (b"", b"", b"", b"")  # header, frame and names, with all counts
+        self._behind = self._efforts = 0  # where the last two of them are
 
     def read(self, data: bytes) -> Array | None:
         """Return positions (n,) [rad or m] in the order of the joint names; None where none of them is in the message.
 
         Raises MessageError: names missing or doubled, arrays of the wrong length, a value that is not finite.
         """
-        # Is all but stamp and numbers as in the message learned from? Slices, because this runs every cycle.
+        # Is all but stamp and numbers as in the message learned from? Spelled out, because this runs every cycle.
+        is_at, (first, second, third, fourth) = data.startswith, self._learned
         known = (
             len(data) == self._length
-            and data[self._fixed[0]] == self._learned[0]
-            and data[self._fixed[1]] == self._learned[1]
-            and data[self._fixed[2]] == self._learned[2]
-            and data[self._fixed[3]] == self._learned[3]
+            and is_at(first)
+            and is_at(second, 12)
+            and is_at(third, self._behind)
+            and is_at(fourth, self._efforts)
         )
         if not known and not self._learn(data):
             return None
@@ -232,8 +233,8 @@ class JointStateReader:
         efforts = behind + 4
         if len(content.velocity):
             efforts += (4 - efforts) % 8 + 8 * len(content.velocity)
-        self._fixed = (slice(0, 4), slice(12, end), slice(behind, behind + 4), slice(efforts, efforts + 4))
-        self._learned = tuple(data[part] for part in self._fixed)
+        self._learned = data[:4], data[12:end], data[behind : behind + 4], data[efforts : efforts + 4]
+        self._behind, self._efforts = behind, efforts
         self._length = len(data)
         return True
 
@@ -249,14 +250,14 @@ class JointStateWriter:
         after = self._position + 8 * n + 4
         self._velocity = after + (4 - after) % 8
         self._size = 8 * n
-        self._numbers = slice(self._position, after - 4), slice(self._velocity, self._velocity + 8 * n)
-        self._between = (
-            slice(0, 4),
-            slice(12, self._position),
-            slice(after - 4, self._velocity),
-            slice(self._velocity + 8 * n, None),
+        self._behind, self._end = after - 4, self._velocity + 8 * n
+        buffer = bytes(self._buffer)
+        self._fixed = (
+            buffer[:4],
+            buffer[12 : self._position],
+            buffer[self._behind : self._velocity],
+            buffer[self._end :],
         )
-        self._fixed = [bytes(self._buffer[part]) for part in self._between]
 
     def write(self, stamp: int, position: Array, velocity: Array) -> bytes:
         """Return the message's bytes; `stamp` [ns], position (n,) [rad or m], velocity (n,) [rad/s or m/s]."""
@@ -268,15 +269,16 @@ class JointStateWriter:
 
     def wrote(self, data: bytes, stamp: int, position: Array, velocity: Array) -> bool:
         """Tell whether `data` is what `write` returns for the same arguments, to the bit, without writing it again."""
-        first, second = self._numbers
+        is_at, (first, second, third, fourth) = data.startswith, self._fixed
         return (
-            data[first] == position.tobytes()
-            and data[second] == velocity.tobytes()
-            and _STAMP.unpack_from(data, 4) == (stamp // _SECOND, stamp % _SECOND)
-            and data[self._between[0]] == self._fixed[0]
-            and data[self._between[1]] == self._fixed[1]
-            and data[self._between[2]] == self._fixed[2]
-            and data[self._between[3]] == self._fixed[3]
+            len(data) == len(self._buffer)
+            and is_at(position.tobytes(), self._position)
+            and is_at(velocity.tobytes(), self._velocity)
+            and _STAMP.unpack_from(data, 4) == divmod(stamp, _SECOND)
+            and is_at(first)
+            and is_at(second, 12)
+            and is_at(third, self._behind)
+            and is_at(fourth, self._end)
         )
 
     def positions(self, data: bytes) -> Array:
