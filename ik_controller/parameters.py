@@ -300,6 +300,12 @@ class ControllerParameters:
     record_compression: str = parameter(
         "zstd", "recording", "Compression of the bag; a change is for the next bag.", legal=("zstd", "lz4", "none")
     )
+    record_max_size: float = parameter(
+        0.0, "recording", "Size at which a bag goes on in a new file; 0: never.", unit="MB", low=0.0
+    )
+    record_max_duration: float = parameter(
+        0.0, "recording", "Time after which a bag goes on in a new file; 0: never.", unit="s", low=0.0
+    )
 
     def __post_init__(self) -> None:
         for spec in specs():

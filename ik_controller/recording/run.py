@@ -84,7 +84,14 @@ class RunWriter:
         """`patient`: wait rather than lose, for runs that are not in real time. Raises BagError where the folder cannot
         be written.
         """
-        self.writer = BagWriter(folder, compression=session.parameters.record_compression, patient=patient)
+        parameters = session.parameters
+        self.writer = BagWriter(
+            folder,
+            compression=parameters.record_compression,
+            max_segment_bytes=round(1e6 * parameters.record_max_size) or None,
+            max_segment_seconds=parameters.record_max_duration or None,
+            patient=patient,
+        )
         self.folder = folder
         latched = Qos(durability="transient_local", depth=1)
         kinds = {**ROLES, "command_output": OUTPUTS[session.parameters.command_output][0]}

@@ -319,6 +319,8 @@ class BagWriter:
             self._reserve.hold(self.folder, segment.summary_size + _SMALL_BYTES)
             for name, mapping in self._metadata.items():
                 segment.add_metadata(name, mapping)
+            if self._index:  # if the process is killed in this one, what was lost before is known all the same
+                segment.add_metadata(RECORDER_METADATA, self._account())
         except OSError:
             segment.abandon()
             raise
