@@ -7,6 +7,7 @@ from __future__ import annotations
 import signal
 import threading
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -202,7 +203,10 @@ class Viewer:
         except IkControllerError as error:
             self.page.show_status(2, str(error))
             return
-        note = self.page.load(model)
+        # Beside its URDF a robot's meshes are found too.
+        note = self.page.load(
+            model, [str(f) for f in Path(parameters.urdf).absolute().parents] if parameters.urdf else []
+        )
         if note:
             self.page.notify("Robot", note)
         self._model, self._joints = model, cdr.JointStateReader(model.joint_names)

@@ -59,6 +59,7 @@ def test_command(command, tmp_path):
         return
     shutil.copytree(ROOT / "bags", tmp_path / "bags")
     (tmp_path / "FILE").write_text("gain: 20.0\n", encoding="utf-8")
+    (tmp_path / "my_arm.yaml").write_text("robot: panda\n", encoding="utf-8")
     shutil.copytree(ROOT / "bags" / "ur5e_golden", tmp_path / "BAG")
     process = subprocess.run(
         [sys.executable, "-m", "ik_controller.cli", *words[1:]],
