@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
-import random
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -22,12 +17,12 @@ from ik_controller.verbs.common import (
     print_table,
     waiting,
 )
+from ik_controller.verbs.processes import PATIENCE, Processes, private_graph, start_arm
 from ik_controller.verbs.replay import error_rows, verdict
 
 HELP = "stream recorded targets to a simulated arm over ROS 2, record, replay, and show the result"
 
 _SETTLE = 0.5  # [s] from the last target to the end, in which the arm comes to rest
-_PATIENCE = 30.0  # [s] for a process to start or end
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -72,79 +67,37 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _run_processes(arguments: argparse.Namespace, targets: Path, length: float, output: Path) -> Path:
     """Run simulated arm, node and streamer until the targets end; return the run's bag."""
-    environment = dict(os.environ)
-    # Alone on this host, unless the user says otherwise: a demo must not move a real arm in the same network.
-    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    environment.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 100)))
-    environment.setdefault("RCUTILS_LOGGING_USE_STDOUT", "0")
     before = set(output.iterdir())
-    log = output / "demo.log"
-    robot = [
-        part
-        for name in ("robot", "urdf", "tip", "base")
-        if (value := getattr(arguments, name))
-        for part in (f"--{name}", str(value))
-    ]
-    given = {
-        "robot": arguments.robot or ("" if arguments.urdf else arguments.default_robot),
-        "urdf": arguments.urdf,
-        "tip_frame": arguments.tip,
-        "base_frame": arguments.base,
-        "rate": None if arguments.rate is None else float(arguments.rate),
-        "record_folder": str(output),
-    }
-    settings = [part for name, value in given.items() if value for part in ("-p", f"{name}:={value}")]
-    verb = [sys.executable, "-m", "ik_controller.cli"]
-    stream = [*verb, "stream", str(targets), "--duration", f"{length}", "--patience", f"{_PATIENCE:g}", "--json"]
-    commands = {
-        "sim": [*verb, "sim", *robot],
-        "node": [sys.executable, "-m", "ik_controller.ros.process", "--ros-args", *settings],
-        "stream": stream,
-    }
-    processes: dict[str, subprocess.Popen[bytes]] = {}
-    with log.open("wb") as sink:
-        try:
-            for name, command in commands.items():
-                processes[name] = subprocess.Popen(
-                    command, stdout=sink, stderr=sink, stdin=subprocess.DEVNULL, env=environment
-                )
-            _wait_for_stream(processes, length, log)
-            time.sleep(_SETTLE)
-            for name in ("node", "sim"):
-                processes[name].send_signal(signal.SIGINT)
-                if processes[name].wait(_PATIENCE) != 0:
-                    raise IkControllerError(f"the {name} process failed: {_last_line(log)} (all of it: {log})")
-        finally:
-            for process in processes.values():
-                if process.poll() is None:
-                    process.kill()
-                    process.wait()
+    processes = Processes(output / "demo.log", private_graph())
+    settings = {"rate": None if arguments.rate is None else float(arguments.rate), "record_folder": str(output)}
+    try:
+        start_arm(processes, arguments, settings)
+        pace = ["--duration", f"{length}", "--patience", f"{PATIENCE:g}"]
+        processes.start("stream", ["ik_controller.cli", "stream", str(targets), *pace, "--json"])
+        _wait_for_stream(processes, length)
+        time.sleep(_SETTLE)
+        processes.end("node", "sim")
+    finally:
+        processes.close()
     new = [folder for folder in set(output.iterdir()) - before if folder.is_dir()]
     if len(new) != 1:
-        raise IkControllerError(f"the node recorded {len(new)} bags, expected one; see {log}")
+        raise IkControllerError(f"the node recorded {len(new)} bags, expected one; see {processes.log}")
     return new[0]
 
 
-def _wait_for_stream(processes: dict[str, subprocess.Popen[bytes]], length: float, log: Path) -> None:
+def _wait_for_stream(processes: Processes, length: float) -> None:
     bar = Progress(length, "streaming")
     start = time.monotonic()
-    while processes["stream"].poll() is None:
-        for name in ("sim", "node"):
-            if processes[name].poll() is not None:
-                raise IkControllerError(f"the {name} process ended early: {_last_line(log)} (all of it: {log})")
+    while (code := processes.poll("stream")) is None:
+        processes.check("sim", "node")
         elapsed = time.monotonic() - start
-        if elapsed > length + 2.0 * _PATIENCE:
-            raise IkControllerError(f"the targets have not been sent after {elapsed:.0f} s; see {log}")
+        if elapsed > length + 2.0 * PATIENCE:
+            raise IkControllerError(f"the targets have not been sent after {elapsed:.0f} s; see {processes.log}")
         bar.show(elapsed)
         time.sleep(0.1)
     bar.end()
-    if processes["stream"].returncode != 0:
-        raise IkControllerError(f"the stream process failed: {_last_line(log)} (all of it: {log})")
-
-
-def _last_line(log: Path) -> str:
-    lines = [line.strip() for line in log.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
-    return lines[-1] if lines else "it said nothing"
+    if code != 0:
+        raise IkControllerError(f"the stream process failed: {processes.last_line()} (all of it: {processes.log})")
 
 
 def _replayed(bag: Path, output: Path) -> dict[str, Any]:

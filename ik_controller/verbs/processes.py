@@ -8,6 +8,7 @@ import random
 import signal
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 from ik_controller.errors import IkControllerError
@@ -15,27 +16,34 @@ from ik_controller.errors import IkControllerError
 PATIENCE = 30.0  # [s] for a process to start or end
 
 
-def own_domain() -> None:
-    """Stay on this host in a ROS domain of our own, unless the user says otherwise: what is simulated here must not
-    move a real arm in the same network.
+def private_graph() -> dict[str, str]:
+    """Return an environment alone on this host in a ROS domain of its own, unless the user says otherwise: what is
+    simulated here must not move a real arm in the same network.
     """
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    os.environ.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 100)))
-    os.environ.setdefault("RCUTILS_LOGGING_USE_STDOUT", "0")
+    environment = dict(os.environ)
+    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    environment.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 100)))
+    environment.setdefault("RCUTILS_LOGGING_USE_STDOUT", "0")
+    return environment
 
 
 class Processes:
-    """Processes with one log file; `close` ends them all."""
+    """Processes in one environment with one log file; `close` ends them all."""
 
-    def __init__(self, log: Path) -> None:
+    def __init__(self, log: Path, environment: dict[str, str]) -> None:
         self.log = log
+        self._environment = environment
         self._sink = log.open("wb")
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(self, name: str, command: list[str]) -> None:
         """Start `python -m` with a command."""
         self._running[name] = subprocess.Popen(
-            [sys.executable, "-m", *command], stdout=self._sink, stderr=self._sink, stdin=subprocess.DEVNULL
+            [sys.executable, "-m", *command],
+            stdout=self._sink,
+            stderr=self._sink,
+            stdin=subprocess.DEVNULL,
+            env=self._environment,
         )
 
     def poll(self, name: str) -> int | None:
@@ -71,7 +79,7 @@ class Processes:
         return lines[-1] if lines else "it said nothing"
 
 
-def start_arm(processes: Processes, arguments: argparse.Namespace, settings: dict[str, object]) -> None:
+def start_arm(processes: Processes, arguments: argparse.Namespace, settings: Mapping[str, object]) -> None:
     """Start the processes "sim" and "node" for the robot of `add_model_arguments`; `settings`: further parameters."""
     robot = [
         part

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import sys
 import threading
@@ -82,7 +83,7 @@ def _play(arguments: argparse.Namespace, opened: Any) -> None:
 
 def _simulate(arguments: argparse.Namespace, opened: Any) -> None:
     from ik_controller.verbs.common import parameters_from
-    from ik_controller.verbs.processes import Processes, own_domain, start_arm
+    from ik_controller.verbs.processes import Processes, private_graph, start_arm
 
     title = parameters_from(arguments).robot or Path(arguments.urdf).stem  # says what is wrong before anything starts
     output = Path(arguments.output)
@@ -90,10 +91,10 @@ def _simulate(arguments: argparse.Namespace, opened: Any) -> None:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise IkControllerError(f"--output {output}: {error.strerror}") from None
-    own_domain()
+    os.environ.update(private_graph())  # of this process too, before it loads ROS
     from ik_controller.ros.viewer import view
 
-    processes = Processes(output / "view.log")
+    processes = Processes(output / "view.log", dict(os.environ))
     try:
         start_arm(processes, arguments, {"record_folder": str(output)})
         watch = threading.Thread(target=_watch, args=(processes,), daemon=True)
