@@ -15,8 +15,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ik_controller.control.bounded import CLOSEST
+from ik_controller.control.closest import blocked, slide
 from ik_controller.control.gate import Gate
-from ik_controller.control.kernel import LAST, NOT_FINITE, bounded_cycle, braking_factor, tool_cycle
+from ik_controller.control.kernel import (
+    BOUNDS,
+    BRAKING,
+    BY_POSITION,
+    LAST,
+    NOT_FINITE,
+    SCALARS,
+    bounded_cycle,
+    braking_factor,
+    tool_cycle,
+)
 from ik_controller.control.law import BRAKING_SHARE, Law
 from ik_controller.control.limits import JointLimits
 from ik_controller.control.reference import Reference
@@ -28,6 +39,7 @@ from ik_controller.parameters import ControllerParameters, gain_matrix
 Array = NDArray[np.float64]
 
 _ZERO = np.zeros(6)
+_STUCK = 1e-9  # s below which the tool does not move in the wanted direction
 _NO_POSE = np.zeros(3), np.eye(3)
 
 
@@ -220,10 +232,35 @@ class Controller:
         if how == NOT_FINITE:
             self._limits.update(self._q, self._v, dt, table)
             return self._stop(dt, Code.HOLDING)
+        if scale < _STUCK and has_pose:
+            how, joint, limit = self._slide(law.feedback(out[2 * n + 6 :], feedback) + twist, at, dt, table, out) or (
+                how,
+                joint,
+                limit,
+            )
         self._keep(out)
         damped = sigma < law.threshold
         status = Status(Code.TRACKING, scale, LIMITS[limit], joint, damped, sigma, how != CLOSEST)
         return Step(self._q, self._v, out[2 * n + 6 :], status)
+
+    def _slide(
+        self, task_velocity: Array, at: Array, dt: float, table: Array, out: Array
+    ) -> tuple[int, int, int] | None:
+        """Write to `out` the way to the closest approach, where a joint at its bound keeps the tool from moving at all;
+        return (how, joint, limit), None where that is not so.
+        """
+        limits, law, n = self._limits, self._law, self._n
+        limits.update(self._q, self._v, dt, table)
+        jacobian = law.jacobian(at + 0.5 * dt * self._v)
+        joint = blocked(jacobian, task_velocity, limits.low, limits.high, limits.velocity)
+        if joint < 0:
+            return None
+        room = table[BOUNDS] - np.concatenate((self._q, -self._q))
+        fastest, braking = law.table[SCALARS, 0], law.table[BRAKING, :n]
+        wanted = slide(jacobian, task_velocity, room, limits.velocity, braking, fastest, dt)
+        velocity = np.fmin(np.fmax(wanted, limits.low), limits.high)
+        out[: 2 * n + 6] = np.concatenate((self._q + dt * velocity, velocity, jacobian @ velocity))
+        return CLOSEST, joint, BY_POSITION
 
     def _follow_joints(self, joints: Array, reference: Reference, dt: float) -> Step:
         """Joint-space target: q̇ = q̇_d + K (q_d − q), slowed as one where a joint must brake or is at a limit."""

@@ -39,7 +39,7 @@ JERK = 5  # first n, inf for a joint without one; last n: the model's own
 LAST = 6  # first n: the last accelerations; last n: the model's own velocity limits
 
 # Rows of the table of the law (10, max(n, 6)): K (6, 6), scalars, and what is given for each joint.
-SCALARS = 6  # largest eigenvalue of K, gain of the posture, λ, ε
+SCALARS = 6  # largest eigenvalue of K, gain of the posture, λ, ε, number of directions the arm can move in
 BRAKING = 7  # accelerations that the approach plans its braking with
 POSTURE = 8
 SEEK_LIMIT = 9  # at most so fast towards the posture
@@ -230,7 +230,7 @@ def tool_cycle(
         middle[j] = at[j] + 0.5 * dt * state[n + j]
     kinematics(chain, middle, turn, tool, jacobian)
     threshold = law[SCALARS, 3]
-    inverse, sigma = damped_gram_inverse(gram(jacobian), law[SCALARS, 2], threshold)
+    inverse, sigma = damped_gram_inverse(gram(jacobian), law[SCALARS, 2], threshold, int(law[SCALARS, 4]))
     share = unhurried(feedback, sigma, threshold)
     wanted = task_velocity(jacobian, inverse, twist, feedback, share, law, at)
     how, scale, joint, limit = bounded_cycle(wanted, jacobian, limits, state, reserve, dt, out, rows, row_bounds)

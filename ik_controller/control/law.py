@@ -12,6 +12,7 @@ ratio of the two is β = √(2r − 1)/r, taken for all joints as one so that th
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -57,11 +58,12 @@ class Law:
         self.chain = solver_chain(model)
         self.table = np.zeros((10, max(n, 6)))  # rows as `kernel` numbers them
         self.table[:6, :6] = gain
-        self.table[SCALARS, :4] = (
+        self.table[SCALARS, :5] = (
             rates.max(),
             parameters.posture_gain if parameters.posture else 0.0,
             parameters.damping,
             parameters.singular_value_threshold,
+            _directions(model),
         )
         self.table[BRAKING, :n] = BRAKING_SHARE * model.acceleration_limit * parameters.acceleration_scale
         self.table[POSTURE, :n] = parameters.posture if parameters.posture else 0.0
@@ -98,6 +100,10 @@ class Law:
         kinematics(self.chain, q, np.empty((3, 3)), np.empty(3), jacobian)
         return jacobian
 
+    def feedback(self, error: Array, observed: Array) -> Array:
+        """Return K e (6,): worked out of e where the kernel has measured it, else as `observe` returned it."""
+        return self.table[:6, :6].dot(error) if self.in_kernel else observed
+
     def observe(self, reference: Reference, q: Array) -> tuple[Array, Array]:
         """Return (e (6,), K e (6,)) at q (n,): e = reference ⊖ tool [m, rad]; zeros where the reference has no pose."""
         if reference.position is None or reference.rotation is None:
@@ -109,6 +115,13 @@ class Law:
         feedback: Array = self._gain.dot(error)
         feedback[3:] = self._error.to_angular_velocity(feedback[3:], rotation)
         return error, feedback
+
+
+def _directions(model: RobotModel) -> int:
+    """Return in how many directions the tool can move at all: the largest rank of J at some configurations."""
+    rng = np.random.default_rng(0)
+    lower, upper = np.fmax(model.lower, -math.pi), np.fmin(model.upper, math.pi)
+    return max(int(np.linalg.matrix_rank(model.jacobian(rng.uniform(lower, upper)), tol=1e-9)) for _ in range(5))
 
 
 def _options(parameters: ControllerParameters) -> dict[str, Any]:

@@ -37,14 +37,16 @@ def damping_factors(eigenvalues: Array, damping: float, threshold: float) -> Arr
 
 
 @compiled
-def damped_gram_inverse(matrix: Array, damping: float, threshold: float) -> tuple[Array, float]:
+def damped_gram_inverse(matrix: Array, damping: float, threshold: float, rank: int = 6) -> tuple[Array, float]:
     """Return (U diag(1/(σᵢ² + λᵢ²)) Uᵀ (m, m), σ_min) for `matrix` = J Jᵀ (m, m): with it, J⁺x = Jᵀ (result · x).
 
     Compiled, the inverse of a well-conditioned matrix is found quicker than its eigenvalues. B = (J Jᵀ)⁻¹ tells
     whether it is one: tr(B³²)^(1/32) ≥ 1/σ_min², so where that bound is beyond the threshold, no direction is damped.
     σ_min is then the Rayleigh quotient at the strongest column of B³², exact to (σ₁/σ₂)¹²⁸ of the two smallest.
+
+    `rank`: in how many directions the arm can move at all, where that is less than m; σ_min is the smallest of those.
     """
-    if HAS_NUMBA:
+    if HAS_NUMBA and rank >= matrix.shape[0]:
         inverse = inverse_spd(matrix)
         if inverse[0, 0] > 0.0:
             m, scale = matrix.shape[0], 0.0
@@ -76,4 +78,4 @@ def damped_gram_inverse(matrix: Array, damping: float, threshold: float) -> tupl
                 return inverse, math.sqrt(above / below)
     values, directions = spectrum(matrix)
     factors = damping_factors(values, damping, threshold)
-    return gram(directions * np.sqrt(factors)), math.sqrt(max(values[0], 0.0))
+    return gram(directions * np.sqrt(factors)), math.sqrt(max(values[max(matrix.shape[0] - rank, 0)], 0.0))
