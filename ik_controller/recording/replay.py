@@ -6,6 +6,7 @@ joint states alone) is run against the ideal arm at the configured rate instead;
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -17,16 +18,17 @@ from numpy.typing import NDArray
 
 from ik_controller.control.controller import Step
 from ik_controller.control.status import Code
-from ik_controller.errors import BagError, ParameterError
+from ik_controller.errors import BagError, IkControllerError, ParameterError
 from ik_controller.messages import cdr
 from ik_controller.messages.commands import CommandWriter
 from ik_controller.messages.inputs import INPUTS
 from ik_controller.parameters import ControllerParameters
+from ik_controller.recording.provenance import code, digest, software
 from ik_controller.recording.reader import BagReader
-from ik_controller.recording.run import RunInfo, RunWriter, software
+from ik_controller.recording.run import RunInfo, RunWriter
 from ik_controller.recording.statistics import ErrorStatistics
 from ik_controller.recording.target_bag import TargetOptions
-from ik_controller.robots import build_model
+from ik_controller.robots import build_model, urdf_text
 from ik_controller.session import Session
 
 Array = NDArray[np.float64]
@@ -39,14 +41,24 @@ class Replay:
     """What a replay found.
 
     `commands` compared; `identical` None where there was nothing to compare; `first_difference` the cycle's index, None
-    where all are identical; `max_difference` [rad or m]; `software` name → (then, now) where they differ.
+    where all are identical; `max_difference` [rad or m] in cycle `max_at`; `first_beyond` the tolerance; `…_s` are
+    times [s] since the run's start. What differs as (then, now): `software` by name, `code`, `model` (of the robot as it is
+    known here), `parameters` by name (changes).
     """
 
     commands: int = 0
     cycles: int = 0
     identical: bool | None = None
     first_difference: int | None = None
+    first_difference_s: float | None = None
     max_difference: float = 0.0
+    max_at: int | None = None
+    first_beyond: int | None = None
+    first_beyond_s: float | None = None
+    tolerance: float = 0.0
+    code: tuple[str, str] | None = None
+    model: tuple[str, str] | None = None
+    parameters: dict[str, tuple[Any, Any]] = field(default_factory=dict)
     duration: float = 0.0  # of the run [s]
     elapsed: float = 0.0  # of the replay [s]
     software: dict[str, tuple[str, str]] = field(default_factory=dict)
@@ -67,15 +79,26 @@ class Replay:
             "commands": self.commands,
             "identical": self.identical,
             "first_difference": self.first_difference,
+            "first_difference_s": self.first_difference_s,
             "max_difference": self.max_difference,
+            "max_at": self.max_at,
+            "tolerance": self.tolerance,
+            "first_beyond_tolerance": self.first_beyond,
+            "first_beyond_tolerance_s": self.first_beyond_s,
             "real_time_factor": self.real_time_factor,
             **self.errors.as_mapping(),
             "cycles": self.cycles,
             "complete": self.complete,
             "rejected": self.rejected,
             "last_rejected": self.last_rejected,
-            "software": {name: {"then": then, "now": now} for name, (then, now) in self.software.items()},
+            "software": _then_and_now(self.software),
+            **_then_and_now({"code": self.code, "model": self.model}),
+            "parameters": _then_and_now(self.parameters),
         }
+
+
+def _then_and_now(pairs: Mapping[str, tuple[Any, Any] | None]) -> dict[str, Any]:
+    return {name: None if pair is None else {"then": pair[0], "now": pair[1]} for name, pair in pairs.items()}
 
 
 class Cycle(NamedTuple):
@@ -144,14 +167,15 @@ def replay(
     robot: ControllerParameters | None = None,
     output: Path | None = None,
     targets: TargetOptions | None = None,
+    tolerance: float = 0.0,
     watch: Callable[[Iterator[Cycle], Session], Iterator[Cycle]] | None = None,
 ) -> Replay:
     """Replay a bag and compare; see the module.
 
     `changes`: parameters to change, for a what-if run. `robot`: the parameters for a bag that holds no run of ours, and
-    `targets` how its motion is taken.
-    `output`: folder of a new bag with the replayed run. `watch` sees the cycles of a run of ours pass. Raises
-    BagError, ParameterError, ModelError.
+    `targets` how its motion is taken. `tolerance` [rad or m]: beyond which a difference is noted as such. `output`:
+    folder of a new bag with the replayed run. `watch` sees the cycles of a run of ours pass. Raises BagError,
+    ParameterError, ModelError.
     """
     changed = dict(changes or {})
     if RunInfo.of(bag) is None:
@@ -161,13 +185,8 @@ def replay(
 
         return run_on_ideal_arm(bag, robot.replace(changed), targets, output)
     session, info = session_of(bag, changed)
-    result = Replay(identical=True, complete=bag.complete)
-    now_software = software()
-    result.software = {
-        name: (then, now_software.get(name, "none"))
-        for name, then in info.software.items()
-        if now_software.get(name) != then
-    }
+    result = Replay(identical=True, complete=bag.complete, tolerance=tolerance)
+    _note_provenance(result, info, session)
     writer = None
     if output is not None:
         writer = RunWriter(output, session, info.topics, patient=True)
@@ -193,7 +212,7 @@ def replay(
                 and (other is None or cycle.sent == other.write(step.position, step.velocity))
             )
             if not same:
-                _note_difference(result, cycle, encode)
+                _note_difference(result, cycle, encode, (cycle.time - first) * 1e-9)
         if step is not None and step.status.code is Code.TRACKING:
             result.errors.add(step.error)
         if writer is not None:
@@ -223,19 +242,36 @@ def other_output(session: Session) -> CommandWriter | None:
     return CommandWriter(parameters.command_output, names, session.period, velocities)
 
 
-def _note_difference(result: Replay, cycle: Cycle, encode: cdr.JointStateWriter) -> None:
-    if result.first_difference is None:
-        result.first_difference = cycle.number
-    result.identical = False
-    if cycle.step is None or cycle.recorded is None:
-        result.max_difference = float("inf")
-        return
+def _note_provenance(result: Replay, info: RunInfo, session: Session) -> None:
+    """Note what is not as it was when the run was recorded."""
+    versions = software()
+    result.software = {
+        name: (then, versions.get(name, "none")) for name, then in info.software.items() if versions.get(name) != then
+    }
+    if info.code and info.code != code():
+        result.code = info.code, code()
+    then, now = info.parameters.as_mapping(), session.parameters.as_mapping()
+    result.parameters = {name: (then[name], value) for name, value in now.items() if then[name] != value}
     try:
-        recorded = encode.positions(cycle.recorded)
-    except ValueError:
-        result.max_difference = float("inf")
-        return
-    result.max_difference = max(result.max_difference, float(np.abs(cycle.step.position - recorded).max()))
+        known = urdf_text(info.parameters)
+    except IkControllerError:  # the run's own model is in the bag; the robot may be unknown here
+        known = None
+    if known is not None and digest(known) != digest(info.urdf):
+        result.model = digest(info.urdf), digest(known)
+
+
+def _note_difference(result: Replay, cycle: Cycle, encode: cdr.JointStateWriter, at: float) -> None:
+    if result.first_difference is None:
+        result.first_difference, result.first_difference_s = cycle.number, at
+    result.identical = False
+    difference = float("inf")
+    if cycle.step is not None and cycle.recorded is not None:
+        with contextlib.suppress(ValueError):  # another kind of message
+            difference = float(np.abs(cycle.step.position - encode.positions(cycle.recorded)).max())
+    if difference > result.max_difference:
+        result.max_difference, result.max_at = difference, cycle.number
+    if difference > result.tolerance and result.first_beyond is None:
+        result.first_beyond, result.first_beyond_s = cycle.number, at
 
 
 def describe_software(differences: Mapping[str, tuple[str, str]]) -> str:

@@ -7,19 +7,17 @@ model and the parameters are in the metadata record `ik_controller.run`; the mod
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
-import platform
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from ik_controller.errors import BagError
-from ik_controller.kinematics.accelerate import HAS_NUMBA
 from ik_controller.messages import cdr
 from ik_controller.messages.commands import OUTPUTS
 from ik_controller.messages.inputs import INPUTS
 from ik_controller.parameters import ControllerParameters
+from ik_controller.recording.provenance import code, digest, software
 from ik_controller.recording.reader import BagReader
 from ik_controller.recording.rosbag2 import Qos
 from ik_controller.recording.writer import BagWriter, WriterStatus
@@ -40,39 +38,11 @@ ROLES = {
     "cycle": cdr.CYCLE,
 }
 
-_LIBRARIES = ("numpy", "pin", "daqp", "rosbags", "mcap")
-
 
 def default_topics(node: str = "/ik_controller") -> dict[str, str]:
     """Return role → topic of a node without namespace and remapping."""
     public = ("joint_states", "joint_commands", "robot_description")
     return {role: f"/{role}" if role in public else f"{node}/{role}" for role in ROLES}
-
-
-def software() -> dict[str, str]:
-    """Return what may change a bit of the result: our version, Python, libraries, processor."""
-    versions = {"ik_controller": _version("ik_controller"), "python": platform.python_version()}
-    versions.update({name: _version(name) for name in _LIBRARIES})
-    versions["numba"] = _version("numba") if HAS_NUMBA else "none"
-    versions["processor"] = _processor()
-    return versions
-
-
-def _version(name: str) -> str:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return "unknown"
-
-
-def _processor() -> str:
-    try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
-    return platform.processor() or platform.machine()
 
 
 class RunWriter:
@@ -111,6 +81,8 @@ class RunWriter:
                 "software": json.dumps(software()),
                 "cycle_fields": json.dumps(cdr.CYCLE_FIELDS),
                 "urdf": session.model.urdf_text,
+                "model": digest(session.model.urdf_text),
+                "code": code(),
             },
         )
 
@@ -138,12 +110,13 @@ class RunWriter:
 
 @dataclass(frozen=True)
 class RunInfo:
-    """What a bag says of its run: parameters, URDF text, role → topic, software versions."""
+    """What a bag says of its run: parameters, URDF text, role → topic, software versions, `code` that made it."""
 
     parameters: ControllerParameters
     urdf: str
     topics: dict[str, str]
     software: dict[str, str]
+    code: str = ""
 
     @classmethod
     def of(cls, bag: BagReader) -> RunInfo | None:
@@ -153,11 +126,14 @@ class RunInfo:
         record = bag.metadata(METADATA)
         try:
             values: dict[str, Any] = json.loads(record["parameters"])
+            if record.get("model", digest(record["urdf"])) != digest(record["urdf"]):
+                raise ValueError("the robot's model is not the one that was recorded")
             return cls(
                 parameters=ControllerParameters.from_mapping(values),
                 urdf=record["urdf"],
                 topics=json.loads(record["topics"]),
                 software=json.loads(record["software"]),
+                code=record.get("code", ""),
             )
         except (KeyError, ValueError) as error:
             raise BagError(f"bag '{bag.path}': metadata '{METADATA}' is damaged: {error}") from None

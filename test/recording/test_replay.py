@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from bag_samples import evenly_chunked
 
+from ik_controller import cli
 from ik_controller.errors import BagError, ParameterError
 from ik_controller.messages import cdr
 from ik_controller.recording.reader import open_bag
@@ -115,6 +116,58 @@ def test_one_changed_byte_is_found_in_its_cycle(run: Path, tmp_path: Path, place
     result = replay(open_bag(bag))
     assert result.identical is False
     assert result.first_difference == cycles[change.before]
+
+
+def test_it_says_where_it_left_the_run_and_where_the_tolerance(run: Path, tmp_path: Path) -> None:
+    """Bits of rising weight are changed in three commands."""
+
+    def change(number, message):
+        if message.topic == "/joint_commands" and number in (50, 60, 70):
+            data = bytearray(message.data)
+            positions = encode.positions(data)
+            positions[6] += {50: 1e-12, 60: 1e-6, 70: 1e-8}[number]
+            return bytes(data)
+        return message.data
+
+    encode = cdr.JointStateWriter(MODEL.joint_names)
+    result = replay(open_bag(altered(run, tmp_path / "changed", change)), tolerance=1e-9)
+    first, largest = result.first_difference, result.max_at
+    assert result.max_difference == pytest.approx(1e-6)
+    assert (largest - first, result.first_beyond) == (10, largest)
+    assert result.first_difference_s == pytest.approx(first / 200.0)
+    assert result.first_beyond_s == pytest.approx(largest / 200.0)
+
+
+def test_what_made_the_run_is_compared_with_what_is_here(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bag = open_bag(run)
+    info = RunInfo.of(bag)
+    same = replay(bag)
+    assert (same.software, same.code, same.model, same.parameters) == ({}, None, None, {})
+    monkeypatch.setattr("ik_controller.recording.replay.code", lambda: "other")
+    monkeypatch.setattr("ik_controller.recording.replay.software", lambda: {**info.software, "numpy": "0.1"})
+    monkeypatch.setattr("ik_controller.recording.replay.urdf_text", lambda _: "<robot/>")
+    other = replay(bag, changes={"gain": 20.0})
+    assert other.software == {"numpy": (info.software["numpy"], "0.1")}
+    assert other.code == (info.code, "other")
+    assert other.model is not None
+    assert other.parameters == {"gain": ([50.0], [20.0])}
+    (tmp_path / "gain.yaml").write_text("gain: 20.0\n")
+    assert cli.main(["replay", str(run), "--params", str(tmp_path / "gain.yaml"), "--tolerance", "1e-9"]) == 0
+    said = capsys.readouterr().out
+    for words in ("numpy", "0.1 now", "other now", "The robot's model here is another", "parameter gain: [50.0] then"):
+        assert words in said
+
+
+def test_a_model_that_is_not_the_recorded_one_is_damage(run: Path, tmp_path: Path) -> None:
+    bag = open_bag(run)
+    writer = BagWriter(tmp_path / "bag", patient=True)
+    record = bag.metadata(METADATA)
+    writer.metadata(METADATA, {**record, "urdf": record["urdf"].replace("0.333", "0.334", 1)})
+    writer.close()
+    with pytest.raises(BagError, match="model is not the one that was recorded"):
+        RunInfo.of(open_bag(tmp_path / "bag"))
 
 
 def test_a_missing_command_is_a_difference(run: Path, tmp_path: Path) -> None:
