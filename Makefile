@@ -51,6 +51,7 @@ bench-peers: $(KERNELS)  ## the same jobs by other libraries, each in an environ
 
 docs: $(KERNELS)  ## the parts of the documentation that are made from the code
 	@$(BIN)/python scripts/make_docs.py
+	@$(BIN)/python scripts/make_views.py
 	@set -e; for script in docs/pictures*.py; do $(BIN)/python $$script; done
 
 install: $(KERNELS) $(DEV)  ## .venv alone
