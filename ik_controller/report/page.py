@@ -59,7 +59,7 @@ def describe(run: Run) -> tuple[dict[str, Any], bytes]:
     used, blob = _columns(timeline)
     content = {
         "bag": run.bag.path.name,
-        "when": "" if run.simulated else _date(timeline.first_time),
+        "when": _date(timeline.first_time) if timeline.worked else "",
         "robot": model.robot_name,
         "headline": headline(run),
         "facts": [fact._asdict() for fact in facts(run)],
@@ -150,7 +150,7 @@ def charts(run: Run) -> list[dict[str, Any]]:
         {"id": "orientation_error", "title": "Orientation error", "unit": "rad", "log": True,
          "series": curves(["orientation_error_rad", *(f"rotation_error_{a}_rad" for a in "xyz")],
                           ("angle", "about x", "about y", "about z")),
-         "note": "The rotation from tool to target, as angle and as rotation vector."},
+         "note": "From tool to target: angle, and rotation vector."},
         {"id": "position", "title": "Joints between their limits", "series": of_joints("position", middle, half),
          "note": "0 % is the middle of a joint's range, ±100 % its limits." + turns},
         {"id": "velocity", "title": "Joint velocity", "series": of_joints("velocity", zero, velocity),
