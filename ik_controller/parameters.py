@@ -140,8 +140,8 @@ class ControllerParameters:
     integration_base: str = parameter(
         "commanded",
         "law",
-        "Where e and J are taken: at the commanded joints, at the measured ones, or at the commanded ones kept "
-        "within max_deviation of the measured.",
+        "Where e and J are taken: at the commanded joints; at the measured ones; or at the commanded ones (bounded). "
+        "The last two keep the commands within max_deviation of the measured joints.",
         legal=("commanded", "measured", "bounded"),
     )
     measured_gain: float = parameter(
@@ -153,7 +153,8 @@ class ControllerParameters:
         low=0.01,
     )
     max_deviation: float = parameter(
-        0.1, "law", "Largest commanded minus measured joint position, for integration_base bounded.", unit="rad, m",
+        0.1, "law", "Largest commanded minus measured joint position, for integration_base bounded or measured.",
+        unit="rad, m",
         low=1e-6,
     )  # fmt: skip
     # reference

@@ -189,7 +189,7 @@ class Controller:
 
         base, limits = self.parameters.integration_base, self._limits
         table = limits.table
-        if base == "bounded" and q_measured is not None:
+        if base != "commanded" and q_measured is not None:  # for measured, against winding up on an arm held fast
             table = limits.table_around(q_measured, self.parameters.max_deviation)
         if limits.jerky:
             table[LAST, : self._n] = self._gate.acceleration

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, TwistStamped
+from rclpy.duration import Duration
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
@@ -75,7 +76,8 @@ class Outputs:
         return sent
 
     def close(self) -> None:
-        """Destroy the publishers."""
+        """Destroy the publishers, when the last command has left."""
+        self._commands.wait_for_all_acked(Duration(seconds=0.5))
         for publisher in (self._commands, self._pose, self._error):
             self._node.destroy_publisher(publisher)
 
