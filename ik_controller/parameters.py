@@ -20,7 +20,7 @@ from ik_controller.errors import ParameterError, choices
 from ik_controller.parameter_file import values_in
 from ik_controller.parameter_spec import Spec, parameter
 
-SECTIONS = ("robot", "limits", "law", "reference", "node", "recording")
+SECTIONS = ("robot", "limits", "obstacles", "law", "reference", "node", "recording")
 
 ORIENTATION_ERRORS = (
     "exponential_base",
@@ -101,6 +101,28 @@ class ControllerParameters:
     velocity_scale: float = parameter(1.0, "limits", "Factor on all speed limits.", low=0.001, high=1.0)
     acceleration_scale: float = parameter(1.0, "limits", "Factor on all acceleration limits.", low=0.001, high=1.0)
     jerk_scale: float = parameter(1.0, "limits", "Factor on all jerk limits.", low=0.001, high=1.0)
+    # obstacles
+    self_collision: bool = parameter(False, "obstacles", "Keep the arm off itself.", read_only=True)
+    obstacle_avoidance: bool = parameter(
+        False, "obstacles", "Keep the arm off the world: of `obstacles` and of the topic ~/obstacles.", read_only=True
+    )
+    obstacles: str = parameter(
+        "", "obstacles", "YAML file of solids around the arm; switches obstacle_avoidance on.", read_only=True
+    )
+    srdf: str = parameter("", "obstacles", "SRDF file; its disable_collisions pairs may touch.", read_only=True)
+    minimum_distance: float = parameter(
+        0.02, "obstacles", "Distance that the arm keeps from the world.", unit="m", low=0.0, high=1.0
+    )
+    self_minimum_distance: float = parameter(
+        0.005, "obstacles", "Distance that the arm keeps from itself.", unit="m", low=0.0, high=1.0
+    )
+    influence_distance: float = parameter(
+        0.1, "obstacles", "Nearer than this, the approach is slowed by obstacle_gain.", unit="m", low=0.0, high=2.0
+    )
+    obstacle_gain: float = parameter(
+        10.0, "obstacles", "Fastest approach for each metre above the minimum distance.", unit="1/s", low=0.1,
+        high=1000.0,
+    )  # fmt: skip
     # law
     gain: tuple[float, ...] = parameter(
         (50.0,),

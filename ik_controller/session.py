@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ik_controller.control.controller import Controller, Step
 from ik_controller.control.goal import Goal
+from ik_controller.control.obstacles import Scene
 from ik_controller.control.reference import Reference
 from ik_controller.control.status import Code, Status
 from ik_controller.control.targets import Targets
@@ -47,11 +48,14 @@ class Session:
     trajectory. Its model is its own where the tool is changed at run time.
     """
 
-    def __init__(self, model: RobotModel, parameters: ControllerParameters) -> None:
-        """Raises ParameterError where parameters do not fit the model."""
+    def __init__(self, model: RobotModel, parameters: ControllerParameters, scene: Scene | None = None) -> None:
+        """`scene`: what may not touch, to be restored with the state; that of the parameters unless given. Raises
+        ParameterError where parameters do not fit the model, ModelError where the scene cannot be made.
+        """
         self.model = model
         self.parameters = parameters
-        self.controller = Controller(model, parameters)
+        self.controller = Controller(model, parameters, scene)
+        self._own_scene = scene is None
         self.targets = Targets(parameters)
         self.paused = False
         self.rejected: Counter[str] = Counter()
@@ -61,7 +65,7 @@ class Session:
         self.reference: Reference | None = None  # of the last cycle
         self.feedback_arrival: int | None = None
         self._refused: dict[str, str] = {}  # role → why nothing is taken from it
-        self._inputs = Inputs(model, self.targets, parameters)
+        self._inputs = Inputs(model, self.targets, parameters, self.controller.scene)
         self._joint_states = JointStateReader(model.joint_names)
         self._measured: Array | None = None
         self._running = False
@@ -175,7 +179,7 @@ class Session:
         self.targets.set_parameters(parameters)
         if model is not self.model:
             self.model = model
-            self._inputs = Inputs(model, self.targets, parameters)
+            self._inputs = Inputs(model, self.targets, parameters, self.controller.scene)
         self._inputs.set_parameters(parameters)
         self.parameters = parameters
         self._set_times()
@@ -238,7 +242,7 @@ class Session:
         before the first deadline, and this session is left as it is.
         """
         model = self.model
-        scratch = Session(model, self.parameters)
+        scratch = Session(model, self.parameters, self.controller.scene.copy())
         q = np.clip(model.middle() + 0.1, model.lower, model.upper)
         state = JointStateWriter(model.joint_names).write(0, q, np.zeros(model.n))
         pose = model.forward(q)
@@ -277,6 +281,7 @@ class Session:
                 "measured": None if self._measured is None else self._measured.tolist(),
                 "feedback_arrival": self.feedback_arrival,
                 "controller": controller.state(),
+                "scene": controller.scene.state(),
                 "targets": self.targets.state(),
                 "goal": self.goal.state(),
                 "refused": self._refused,
@@ -293,6 +298,8 @@ class Session:
             self._measured = None if content["measured"] is None else np.array(content["measured"])
             self.feedback_arrival = content["feedback_arrival"]
             self.controller.restore(content["controller"])
+            if not self._own_scene and "scene" in content:  # not in the runs of version 0.1
+                self.controller.scene.restore(content["scene"])
             self.targets.restore(content["targets"])
             # Not in the runs of version 0.1
             self.goal.restore(content.get("goal", ["", False]))

@@ -27,9 +27,11 @@ from ik_controller.control.kernel import (
     bounded_cycle,
     braking_factor,
     tool_cycle,
+    tool_velocity,
 )
 from ik_controller.control.law import BRAKING_SHARE, Law
 from ik_controller.control.limits import JointLimits
+from ik_controller.control.obstacles import Obstacles, Scene
 from ik_controller.control.reference import Reference
 from ik_controller.control.status import LIMITS, Code, Limit, Status
 from ik_controller.errors import ArgumentError, ParameterError, choices
@@ -60,10 +62,15 @@ class Step:
 class Controller:
     """The closed loop of N11 within the joints' limits: `reset(q)`, then `step(q_measured, reference, dt)` a cycle."""
 
-    def __init__(self, model: RobotModel, parameters: ControllerParameters | None = None) -> None:
-        """Raises ParameterError where a list's length does not fit the model's joints."""
+    def __init__(
+        self, model: RobotModel, parameters: ControllerParameters | None = None, scene: Scene | None = None
+    ) -> None:
+        """`scene`: what may not touch, that of the parameters unless given. Raises ParameterError where a list's length
+        does not fit the model's joints, ModelError or ParameterError where the scene cannot be made.
+        """
         self.model = model
         self._n = model.n
+        self.scene = Scene.of(model, parameters or ControllerParameters()) if scene is None else scene
         self._started = False  # has there been a `reset`?
         self._fresh = False
         self._outside = False  # did the arm start outside its bounds, and has not come inside yet?
@@ -87,6 +94,7 @@ class Controller:
         self._limits = JointLimits(
             model, parameters.velocity_scale, parameters.acceleration_scale, parameters.jerk_scale
         )
+        self._obstacles = Obstacles(model, parameters, self.scene)
         self._checked_dt = 1.0 / parameters.rate
         self.parameters = parameters
 
@@ -200,6 +208,7 @@ class Controller:
         if reference is not None and not reference.in_joint_space and q_measured is not None:
             return self._follow_tool(reference, q_measured if base == "measured" else q, dt, table)
         limits.update(q, v, dt, table)
+        self._obstacles.update(q, v, self._gate.acceleration, limits, dt)
         if q_measured is None:
             return self._stop(dt, Code.NO_FEEDBACK)
         if reference is None or not reference.in_joint_space:
@@ -222,6 +231,7 @@ class Controller:
         how, scale, joint, limit, sigma = tool_cycle(
             law.chain, law.table, table, self._state, at, position, rotation, twist, feedback, measure, reserve, dt, out
         )
+        wanted = jacobian = None
         if law.by_name:
             with contextlib.suppress(ArgumentError):  # at a singularity: the damped velocity it is
                 jacobian = law.jacobian(at + 0.5 * dt * self._v)
@@ -231,6 +241,7 @@ class Controller:
             out[2 * n + 6 :] = error
         if how == NOT_FINITE:
             self._limits.update(self._q, self._v, dt, table)
+            self._obstacles.update(self._q, self._v, self._gate.acceleration, self._limits, dt)
             return self._stop(dt, Code.HOLDING)
         if scale < _STUCK and has_pose:
             how, joint, limit = self._slide(law.feedback(out[2 * n + 6 :], feedback) + twist, at, dt, table, out) or (
@@ -238,8 +249,21 @@ class Controller:
                 joint,
                 limit,
             )
-        self._keep(out)
         damped = sigma < law.threshold
+        if self._obstacles.watching:
+            self._limits.update(self._q, self._v, dt, table)
+            self._obstacles.update(self._q, self._v, self._gate.acceleration, self._limits, dt)
+            if self._obstacles.count:
+                if wanted is None:
+                    jacobian, wanted = np.empty((6, n)), np.empty(n)
+                    tool_velocity(
+                        law.chain, law.table, self._state, at, position, rotation, twist, feedback, measure, dt,
+                        np.empty(6), jacobian, wanted,
+                    )  # fmt: skip
+                if not (self._obstacles.allow(wanted) and self._obstacles.allow(out[n : 2 * n])):
+                    status = Status(Code.TRACKING, 1.0, Limit.NONE, -1, damped, sigma)
+                    return self._pass_by(wanted, jacobian, dt, out[2 * n + 6 :], status)
+        self._keep(out)
         status = Status(Code.TRACKING, scale, LIMITS[limit], joint, damped, sigma, how != CLOSEST)
         return Step(self._q, self._v, out[2 * n + 6 :], status)
 
@@ -277,16 +301,31 @@ class Controller:
             return self._stop(dt, Code.HOLDING)
         excess = float((np.abs(wanted) / limits.velocity).max())
         scale = 1.0 / max(excess, 1.0)
+        if not self._obstacles.allow(scale * wanted):
+            return self._pass_by(wanted, None, dt, np.zeros(6), Status(Code.TRACKING))
         velocity = np.fmin(np.fmax(scale * wanted, limits.low), limits.high)
+        if not self._obstacles.allow(velocity):
+            return self._pass_by(wanted, None, dt, np.zeros(6), Status(Code.TRACKING))
         gap = np.abs(wanted - velocity)
         joint = int(np.argmax(gap))
         limit = limits.which(joint, wanted.item(joint), self._v, dt) if gap.item(joint) > 0.0 else Limit.NONE
         status = Status(Code.TRACKING, scale, limit, joint if limit is not Limit.NONE else -1)
         return self._commit(velocity, dt, np.zeros(6), status)
 
+    def _pass_by(self, wanted: Array, jacobian: Array | None, dt: float, error: Array, status: Status) -> Step:
+        """Move along what is in the way: the velocity nearest to `wanted` (n,) that obstacles and limits allow."""
+        velocity, limit, pair, distance = self._obstacles.pass_by(wanted, jacobian, self._q, self._limits)
+        size = math.sqrt(wanted.dot(wanted))
+        scale = min(max(float(velocity.dot(wanted)) / (size * size), 0.0), 1.0) if size > 0.0 else 1.0
+        return self._commit(
+            velocity, dt, error, status._replace(scale=scale, limit=limit, pair=pair, distance=distance)
+        )
+
     def _stop(self, dt: float, code: Code) -> Step:
         """Brake all joints as one, so that the arm stops along its joint-space direction, then hold."""
         velocity = self._limits.stop(self._v, self._gate.acceleration, dt)
+        if not self._obstacles.allow(velocity):
+            velocity = self._obstacles.braking.copy()  # each joint for itself: the path that was found free
         if velocity.any() and code is Code.HOLDING:
             code = Code.STOPPING
         return self._commit(velocity, dt, np.zeros(6), Status(code))

@@ -218,8 +218,36 @@ def tool_cycle(
     G q̇ ≤ g. Few arrays, because Numba takes 0.1 µs or more to take in each.
     """
     n = at.shape[0]
-    middle, jacobian = np.empty(n), np.empty((6, n))
-    tool, turn, error = np.empty(3), np.empty((3, 3)), out[2 * n + 6 :]
+    jacobian, wanted = np.empty((6, n)), np.empty(n)
+    sigma = tool_velocity(
+        chain, law, state, at, position, rotation, twist, feedback, measure, dt, out[2 * n + 6 :], jacobian, wanted
+    )
+    how, scale, joint, limit = bounded_cycle(wanted, jacobian, limits, state, reserve, dt, out, rows, row_bounds)
+    return how, scale, joint, limit, sigma
+
+
+@compiled
+def tool_velocity(
+    chain: Any,
+    law: Array,
+    state: Array,
+    at: Array,
+    position: Array,
+    rotation: Array,
+    twist: Array,
+    feedback: Array,
+    measure: bool,
+    dt: float,
+    error: Array,
+    jacobian: Array,
+    wanted: Array,
+) -> float:
+    """Write the law's velocity `wanted` (n,), before any limit, and the J (6, n) that it takes; return σ_min.
+
+    `error` e (6,) is written where `measure`; the rest as in `tool_cycle`.
+    """
+    n = at.shape[0]
+    middle, tool, turn = np.empty(n), np.empty(3), np.empty((3, 3))
     if measure:
         kinematics_pose(chain, at, turn, tool)
         for i in range(3):
@@ -232,9 +260,8 @@ def tool_cycle(
     threshold = law[SCALARS, 3]
     inverse, sigma = damped_gram_inverse(gram(jacobian), law[SCALARS, 2], threshold, int(law[SCALARS, 4]))
     share = unhurried(feedback, sigma, threshold)
-    wanted = task_velocity(jacobian, inverse, twist, feedback, share, law, at)
-    how, scale, joint, limit = bounded_cycle(wanted, jacobian, limits, state, reserve, dt, out, rows, row_bounds)
-    return how, scale, joint, limit, sigma
+    wanted[:] = task_velocity(jacobian, inverse, twist, feedback, share, law, at)
+    return sigma
 
 
 @compiled

@@ -189,6 +189,10 @@ class Urdf:
             link = joint.parent
         return joints[::-1]
 
+    def collision_elements(self) -> list[tuple[str, ElementTree.Element]]:
+        """Return (link name, <collision> element) of every collision shape, in the order of the file."""
+        return [(link.get("name", ""), e) for link in self._root.findall("link") for e in link.findall("collision")]
+
     def pinocchio_text(self) -> str:
         """Return the URDF with continuous joints as revolute ones without limits and without mimic tags."""
         root = ElementTree.fromstring(self.text)

@@ -28,6 +28,7 @@ TWIST = "geometry_msgs/msg/TwistStamped"
 TRAJECTORY = "trajectory_msgs/msg/MultiDOFJointTrajectory"
 JOINT_TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 JOINT_JOG = "control_msgs/msg/JointJog"
+MARKERS = "visualization_msgs/msg/MarkerArray"
 STRING = "std_msgs/msg/String"
 CYCLE = "std_msgs/msg/Int64MultiArray"
 

@@ -13,11 +13,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ik_controller.control.obstacles import Scene
 from ik_controller.control.targets import Targets
 from ik_controller.errors import MessageError, choices
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.messages import cdr
 from ik_controller.messages.frames import Frames
+from ik_controller.messages.markers import take_markers
 from ik_controller.parameters import ControllerParameters
 
 Array = NDArray[np.float64]
@@ -31,6 +33,7 @@ INPUTS = {
     "target_joints": cdr.JOINT_STATE,
     "target_joint_trajectory": cdr.JOINT_TRAJECTORY,
     "target_joint_jog": cdr.JOINT_JOG,
+    "obstacles": cdr.MARKERS,
 }
 
 # Mode → roles that it follows; `auto` follows all.
@@ -52,7 +55,10 @@ class Inputs:
     `frames`: where TF's transforms are told.
     """
 
-    def __init__(self, model: RobotModel, targets: Targets, parameters: ControllerParameters) -> None:
+    def __init__(
+        self, model: RobotModel, targets: Targets, parameters: ControllerParameters, scene: Scene | None = None
+    ) -> None:
+        """`scene`: where obstacles go."""
         self.frames = Frames(model)
         self._model = model
         self._joints = cdr.JointStateReader(model.joint_names)
@@ -60,6 +66,7 @@ class Inputs:
         self._twists = cdr.StampedReader(cdr.TWIST, 6)
         self._names = model.joint_names
         self._targets = targets
+        self._scene = scene
         self.set_parameters(parameters)
 
     def set_parameters(self, parameters: ControllerParameters) -> None:
@@ -76,9 +83,14 @@ class Inputs:
         """Take one target message of `role` (a key of INPUTS but joint_states). Raises MessageError; takes nothing
         then.
         """
-        if self._followed is not None and role not in self._followed:
+        if self._followed is not None and role not in self._followed and role != "obstacles":
             raise MessageError(f"not followed in mode '{self._mode}', which takes: {choices(self._followed)}")
         getattr(self, "_" + role)(data, arrival, q, v)
+
+    def _obstacles(self, data: bytes, arrival: int, q: Array | None, v: Array) -> None:
+        if self._scene is None or not self._scene.world_watched:
+            raise MessageError("obstacles are not heeded: start with obstacle_avoidance")
+        take_markers(data, self._scene.world, lambda frame: self.frames.placement(frame, q))
 
     def _target_pose(self, data: bytes, arrival: int, q: Array | None, v: Array) -> None:
         stamp, frame, numbers = self._poses.read(data)

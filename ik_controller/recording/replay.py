@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.control.controller import Step
+from ik_controller.control.obstacles import SCENE_PARAMETERS, Scene
 from ik_controller.control.status import Code
 from ik_controller.errors import BagError, IkControllerError, ParameterError
 from ik_controller.messages import cdr
@@ -123,7 +124,9 @@ def session_of(bag: BagReader, changes: Mapping[str, Any]) -> tuple[Session, Run
         raise ParameterError(
             f"rate = {parameters.rate:g}: a recorded run is replayed at its own, {info.parameters.rate:g} Hz"
         )
-    return Session(build_model(parameters, info.urdf), parameters), info
+    # What may not touch is in the recorded state, and its files may be elsewhere; a what-if run may name others.
+    scene = None if set(changes) & set(SCENE_PARAMETERS) else Scene()
+    return Session(build_model(parameters, info.urdf), parameters, scene), info
 
 
 def cycles(

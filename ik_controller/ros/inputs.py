@@ -9,6 +9,7 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, MultiDOFJointTrajectory
+from visualization_msgs.msg import MarkerArray
 
 from ik_controller.parameters import ControllerParameters
 from ik_controller.ros.optional import optional
@@ -18,12 +19,13 @@ _TAKEN_AT_ONCE = 200  # messages of one input a cycle, so that a flood cannot st
 
 
 class Input(NamedTuple):
-    """One input: message class, topic, queue depth, reliable."""
+    """One input: message class, topic, queue depth, reliable, transient local."""
 
     kind: Any
     topic: str
     depth: int
     reliable: bool
+    latched: bool = False
 
 
 # By role, as in `messages.inputs.INPUTS`. A trajectory comes once and must come; streams must not wait.
@@ -34,6 +36,7 @@ _INPUTS = {
     "target_trajectory": Input(MultiDOFJointTrajectory, "~/target_trajectory", 10, True),
     "target_joints": Input(JointState, "~/target_joints", 100, False),
     "target_joint_trajectory": Input(JointTrajectory, "~/target_joint_trajectory", 10, True),
+    "obstacles": Input(MarkerArray, "~/obstacles", 100, True, True),
 }
 
 
@@ -70,7 +73,12 @@ class Inputs:
         self._subscriptions = [
             (role, PolledSubscription(node, group, *settings)) for role, settings in inputs_of(parameters).items()
         ]
-        self.topics = {role: entry.topic for role, entry in self._subscriptions if role != "joint_states"}
+        # What was latched before we came reaches only a subscription that asks for it, and who does not latch reaches
+        # only one that does not ask: both are needed, and markers taken twice are the same markers.
+        unlatched = inputs_of(parameters)["obstacles"]._replace(reliable=False, latched=False)
+        self._subscriptions.append(("obstacles", PolledSubscription(node, group, *unlatched)))
+        several = ("joint_states", "obstacles")  # may have more than one publisher
+        self.topics = {role: entry.topic for role, entry in self._subscriptions if role not in several}
 
     def take(self) -> Iterator[tuple[str, bytes]]:
         """Yield role and bytes of everything that has arrived, input by input."""

@@ -19,6 +19,7 @@ from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
 
 from ik_controller.control.controller import Controller
+from ik_controller.control.obstacles import Scene
 from ik_controller.errors import IkControllerError, ParameterError
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.kinematics.urdf import same_arm
@@ -258,7 +259,7 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
                 if spec.read_only and getattr(changed, spec.name) != getattr(self.parameters, spec.name):
                     raise ParameterError(f"{spec.name} is read-only while the node is {self.state}: clean it up first")
             model = with_tool(self.model, self.parameters, changed)
-            Controller(model, changed)  # refuses what does not fit the model
+            Controller(model, changed, Scene())  # refuses what does not fit the model
             self.model = model
         if self.runner is not None:
             if values.get("record"):

@@ -10,7 +10,7 @@ from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 
 class PolledGroup(CallbackGroup):  # type: ignore[misc]
@@ -29,11 +29,19 @@ class PolledSubscription:
     """A raw subscription; `take` returns the next message's bytes, or None."""
 
     def __init__(
-        self, node: Node, group: PolledGroup, message_type: Any, topic: str, depth: int, reliable: bool
+        self,
+        node: Node,
+        group: PolledGroup,
+        message_type: Any,
+        topic: str,
+        depth: int,
+        reliable: bool,
+        latched: bool = False,
     ) -> None:
         # Best effort takes from reliable and from best-effort publishers alike.
         reliability = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
-        qos = QoSProfile(depth=depth, reliability=reliability)
+        durability = DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE
+        qos = QoSProfile(depth=depth, reliability=reliability, durability=durability)
         self.subscription = node.create_subscription(
             message_type, topic, lambda _: None, qos, callback_group=group, raw=True
         )
