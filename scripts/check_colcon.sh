@@ -42,6 +42,11 @@ for folder in config bags launch; do
         fail "share/ik_controller/$folder differs: $difference"
 done
 
+for file in demo arm servo; do
+    [ -f "$prefix/share/ik_controller/launch/$file.launch.py" ] || fail "no launch file $file"
+    "$python" -m py_compile "$prefix/share/ik_controller/launch/$file.launch.py" || fail "$file.launch.py is no Python"
+done
+
 # Run what was installed, from elsewhere, as a sourced workspace runs it.
 cd "$work"
 set +u

@@ -53,6 +53,11 @@ def test_documented_parameters_are_those_of_the_code():
     assert page == (ROOT / "docs" / "parameters.md").read_text(encoding="utf-8"), "run: make docs"
 
 
+def test_the_table_of_reasons_is_made_from_the_code():
+    text = (ROOT / "docs" / "node.md").read_text(encoding="utf-8")
+    assert runpy.run_path(str(ROOT / "scripts" / "make_docs.py"))["node_page"](text) == text, "run `make docs`"
+
+
 def test_every_direct_dependency_is_pinned_for_every_python():
     markers = pytest.importorskip("packaging.requirements")
     listed = re.search(r"install_requires=\[(.*?)\]", (ROOT / "setup.py").read_text(encoding="utf-8"), re.DOTALL)

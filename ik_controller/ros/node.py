@@ -10,6 +10,7 @@ import traceback
 from collections.abc import Callable
 from typing import Any
 
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -50,6 +51,7 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
         self._failure: Exception | None = None  # why the last transition was not made
         self._fatal: Exception | None = None  # what ends the process
         self._told = 0
+        self.preparing = False  # compiling the loop: nothing is commanded yet
         self._status = StatusOutput(self)
         self._urdf = urdf_text(self.parameters)
         on_change(self, self._accept_parameters)
@@ -160,7 +162,11 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
         """Take up a model. Raises ParameterError where parameters do not fit it."""
         session = Session(model, self.parameters)
         self.get_logger().info("preparing the loop; the very first time it is compiled, for half a minute")
-        session.warm_up()
+        self.preparing = True
+        try:
+            session.warm_up()
+        finally:
+            self.preparing = False
         for assumption in model.assumptions:
             self.get_logger().warning(assumption)
         self.model = model
@@ -248,6 +254,16 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
             self.runner.monitor.description = mistake
 
     # -- parameters and services: the executor's side only queues
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Set parameters as rclpy does, but name those that do not exist, which its answer leaves out."""
+        unknown = [parameter.name for parameter in parameter_list if not self.has_parameter(parameter.name)]
+        try:
+            if unknown:
+                self.parameters.replace(dict.fromkeys(unknown))
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return super().set_parameters_atomically(parameter_list)
 
     def _accept_parameters(self, values: dict[str, Any]) -> None:
         """Take changed values up, or raise IkControllerError."""

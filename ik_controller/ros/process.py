@@ -98,8 +98,12 @@ def main(arguments: list[str] | None = None) -> int:
         os.read(wake, 1)  # a signal, or an arm that cannot start: all end together
         for node in nodes:
             node.request_stop()
-        for thread in threads:
-            thread.join()
+        for node, thread in zip(nodes, threads, strict=True):
+            while thread.is_alive() and not node.preparing:
+                thread.join(0.1)
+        if any(thread.is_alive() for thread in threads):  # compiling, which takes long and cannot be broken off
+            sys.stderr.flush()
+            os._exit(2 if failures else 0)
     except IkControllerError as error:
         failures.append(error)
     finally:

@@ -171,7 +171,7 @@ def test_a_changed_parameter_acts_is_recorded_and_replays_bit_identically(live: 
         ({"robot": "ur5e"}, "read-only"),
         ({"tool_offset": [0.0, 0.0, 0.1, 0.0, 0.0, 0.0, 2.0]}, "quaternion"),
         ({"mode": "both"}, "trajectory"),
-        ({"no_such_parameter": 1.0}, "undeclared"),  # rclpy's own answer
+        ({"gian": 1.0}, "unknown parameter 'gian'; did you mean: gain"),
     ],
 )
 def test_parameters_that_do_not_fit_are_refused_with_the_reason(live: Rig, values: dict[str, Any], named: str) -> None:
