@@ -189,6 +189,10 @@ class Session:
         """The joints as last measured (n,), None before the first joint state."""
         return self._measured
 
+    def explained(self) -> Status:
+        """Return the last cycle's status with what takes too long to work out in every cycle; for people."""
+        return self.controller.explain(self.status)
+
     # -- one cycle
 
     def cycle(self, now: int) -> Step | None:

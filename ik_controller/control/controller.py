@@ -42,6 +42,7 @@ Array = NDArray[np.float64]
 
 _ZERO = np.zeros(6)
 _STUCK = 1e-9  # s below which the tool does not move in the wanted direction
+_REST, _AWAY = 1e-3, 1e-6  # at rest: a share of the speed limits; away: an error of the tool [m, rad]
 _NO_POSE = np.zeros(3), np.eye(3)
 
 
@@ -265,7 +266,31 @@ class Controller:
                     return self._pass_by(wanted, jacobian, dt, out[2 * n + 6 :], status)
         self._keep(out)
         status = Status(Code.TRACKING, scale, LIMITS[limit], joint, damped, sigma, how != CLOSEST)
+        if has_pose and (damped or how == CLOSEST) and self._rests_away(out[2 * n + 6 :]):
+            status = status._replace(closest=True)
         return Step(self._q, self._v, out[2 * n + 6 :], status)
+
+    def _rests_away(self, error: Array) -> bool:
+        """Tell whether the arm is as good as at rest while there is an error (6,) that it would follow if it could."""
+        return bool((np.abs(self._v) <= _REST * self._limits.velocity).all() and np.abs(error).max() > _AWAY)
+
+    def explain(self, status: Status) -> Status:
+        """Return the last step's status with what takes too long to work out in every cycle: condition number, singular
+        direction, the lengths of the error.
+        """
+        if not self._started or status.code not in (Code.TRACKING, Code.STOPPING, Code.HOLDING):
+            return status
+        directions, values, _ = np.linalg.svd(self._law.jacobian(self._q))
+        rank = min(int(self._law.table[SCALARS, 4]), values.size)
+        smallest = values.item(rank - 1)
+        error = self._state[2 * self._n + 6 :]
+        return status._replace(
+            smallest_singular_value=smallest,
+            condition_number=values.item(0) / smallest if smallest > 0.0 else math.inf,
+            singular_direction=tuple(directions[:, rank - 1].tolist()) if status.damped else (),
+            position_error=math.hypot(*error[:3]) if error.size else math.nan,
+            orientation_error=math.hypot(*error[3:]) if error.size else math.nan,
+        )
 
     def _slide(
         self, task_velocity: Array, at: Array, dt: float, table: Array, out: Array

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ik_controller.control.status import Code
+from ik_controller.control.status import Code, in_words
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.messages import cdr
 from ik_controller.ros.clock import SimulatedLoop
@@ -125,7 +126,7 @@ class Monitor:
 
     def account(self, now: int) -> Account:
         """Return what there is to tell."""
-        session, state = self._session, self._session.status
+        session, state = self._session, self._session.explained()
         names = session.model.joint_names
         age, feedback = session.targets.age(now), session.feedback_arrival
         reasons, sentences = list(of_status(state)), [state.sentence(names)]
@@ -163,7 +164,15 @@ class Monitor:
             "joint": names[state.joint] if state.joint >= 0 else "",
             "scale": f"{state.scale:.4f}",
             "smallest_singular_value": f"{state.smallest_singular_value:.5f}",
+            "condition_number": f"{state.condition_number:.4g}",
             "damped": str(state.damped).lower(),
+            "singular_direction": in_words(state.singular_direction) if state.singular_direction else "",
+            "feasible": str(state.feasible).lower(),
+            "closest_approach": str(state.closest).lower(),
+            "pair": ", ".join(state.pair),
+            "distance_m": "" if math.isnan(state.distance) else f"{state.distance:.4f}",
+            "position_error_m": f"{state.position_error:.3g}",
+            "orientation_error_rad": f"{state.orientation_error:.3g}",
             "target_age_s": "never" if age is None else f"{age:.3f}",
             "joint_state_age_s": "never" if feedback is None else f"{(now - feedback) * 1e-9:.3f}",
             "rejected": str(sum(session.rejected.values())),

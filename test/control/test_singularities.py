@@ -187,3 +187,22 @@ def test_a_stretched_arm_bends_again():
         for _ in range(4000):
             step = controller.step(controller.position, Reference.pose(target), DT)
         assert np.abs(difference(target, model.forward(step.position))).max() < 1e-6
+
+
+def test_the_status_says_which_direction_is_lost_and_how_far_the_target_is():
+    robot = bundled("ur5e")
+    home = robot.model.forward(robot.home)
+    controller = started(robot)
+    away = home.translation / np.linalg.norm(home.translation)
+    far = moved(home, np.append(away, np.zeros(3)))
+    for _ in range(4000):
+        step = controller.step(controller.position, Reference.pose(far), DT)
+    assert step.status.closest
+    status = controller.explain(step.status)
+    left, values, _ = np.linalg.svd(robot.model.jacobian(controller.position))
+    assert status.smallest_singular_value == pytest.approx(values[-1], abs=1e-9)
+    assert status.condition_number == pytest.approx(values[0] / values[-1], rel=1e-3)
+    assert abs(np.dot(status.singular_direction, left[:, -1])) == pytest.approx(1.0, abs=1e-6)
+    assert status.position_error == pytest.approx(np.linalg.norm(step.error[:3]))
+    assert "at rest at the closest approach" in status.sentence()
+    assert "cannot move along" in status.sentence()
