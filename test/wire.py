@@ -91,3 +91,22 @@ def joint_jog(
     """A JointJog."""
     arrays = [np.array(values, dtype=float) for values in (displacements, velocities)]
     return cdr.encode(cdr.message(cdr.JOINT_JOG, cdr.header(stamp, ""), list(names), *arrays, 0.0))
+
+
+def markers(entries: Sequence[tuple[str, int, int, int, Sequence[float], Sequence[float]]], frame: str) -> bytes:
+    """A MarkerArray of (namespace, id, type, action, position, scale), upright."""
+    nothing = cdr.message("builtin_interfaces/msg/Duration", 0, 0)
+    color = cdr.message("std_msgs/msg/ColorRGBA", 1.0, 1.0, 1.0, 1.0)
+    image = cdr.message("sensor_msgs/msg/CompressedImage", cdr.header(0, ""), "", np.zeros(0, dtype=np.uint8))
+    mesh = cdr.message("visualization_msgs/msg/MeshFile", "", np.zeros(0, dtype=np.uint8))
+    made = []
+    for namespace, number, kind, action, position, scale in entries:
+        point = cdr.message("geometry_msgs/msg/Point", *map(float, position))
+        at = cdr.message("geometry_msgs/msg/Pose", point, _quaternion((0.0, 0.0, 0.0, 1.0)))
+        made.append(
+            cdr.message(
+                "visualization_msgs/msg/Marker", cdr.header(0, frame), namespace, number, kind, action, at,
+                _vector(scale), color, nothing, False, [], [], "", image, [], "", "", mesh, False,
+            )
+        )  # fmt: skip
+    return cdr.encode(cdr.message(cdr.MARKERS, made))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 
 import numpy as np
@@ -81,8 +82,8 @@ def free_start(model, arm, random):
             return q
 
 
-def approach(robot, seed: int, cycles: int = 1200, back: int = 600):
-    """Push into something at random, then pull away; every distance and acceleration is looked at."""
+def approach(robot, seed: int, cycles: int):
+    """Push into something at random, then back out the way it came; distances and accelerations are looked at."""
     random = np.random.default_rng(seed)
     model, parameters = robot.model, robot.parameters.replace(WATCHED)
     scene = Scene.of(model, parameters)
@@ -97,39 +98,43 @@ def approach(robot, seed: int, cycles: int = 1200, back: int = 600):
             break
     if kind == 5 or seed % 4 == 3:
         there = free_start(model, arm, random)
-        reference = Reference.joint(-q if kind == 5 else there) if seed % 4 == 3 else Reference.pose(model.forward(there))
+        reference = (
+            Reference.joint(-q if kind == 5 else there) if seed % 4 == 3 else Reference.pose(model.forward(there))
+        )
     else:
         way = random.uniform(0.8, 2.0) * (center - tool.translation)
         reference = Reference.pose(pin.SE3(tool.rotation, tool.translation + way))
     controller = Controller(model, parameters, scene)
     controller.reset(q)
-    least, held, gap, before = [np.inf, np.inf], 0, np.inf, controller.velocity
-    for k in range(cycles + back):
-        if k == cycles:  # back out, the way it came
-            gap = min(pair_distances(model, arm, arm.pairs, controller.position).min(), 1.0)
-            reference = Reference.pose(tool) if reference.joints is None else Reference.joint(q)
+    least, before, path = [np.inf, np.inf], controller.velocity, []
+    for k in range(2 * cycles + 4000):
+        if k > 2 * cycles and np.abs(controller.position - q).max() < 1e-3:
+            break
+        if k < cycles:
+            path.append(controller.position)
+        else:
+            reference = Reference.joint(path[max(2 * cycles - k, 0) // 10 * 10 if k > cycles else -1])
         step = controller.step(controller.position, reference, DT)
         assert (np.abs(step.velocity - before) <= model.acceleration_limit * DT * (1.0 + 1e-9) + 1e-14).all()
         before = step.velocity
-        held += step.status.limit in (Limit.OBSTACLE, Limit.SELF_COLLISION)
         least[0] = min(least[0], pair_distances(model, arm, arm.pairs, step.position).min())
         if len(scene.world) and k % 5 == 0:
             least[1] = min(least[1], world_distance(model, arm, scene.world, step.position))
     assert not controller.fault
     assert least[0] >= parameters.self_minimum_distance - TOLERANCE
     assert least[1] >= parameters.minimum_distance - TOLERANCE
-    return held
+    np.testing.assert_allclose(controller.position, q, atol=1e-3)
 
 
 @pytest.mark.parametrize("seed", range(12))
 def test_pushed_at_random_it_keeps_its_distance(robot, seed):
-    approach(robot, seed, 400, 200)
+    approach(robot, seed, 400)
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("seed", range(500))
 def test_pushed_at_random_it_keeps_its_distance_soak(robot, seed):
-    approach(robot, 1000 + seed, 3000, 2000)
+    approach(robot, 1000 + seed, 3000)
 
 
 def pressed(robot, solid=None, name="solid"):
@@ -151,7 +156,7 @@ def test_pressed_on_a_box_it_slides_rests_says_why_and_lets_go(robot):
     aside = pin.SE3(below.rotation, below.translation + np.array([0.03, 0.03, 0.0]))
     for _ in range(4000):
         step = controller.step(controller.position, Reference.pose(aside), DT)
-    assert np.abs(step.velocity).max() < 1e-5  # no chatter
+    assert np.abs(step.velocity).max() < 1e-4  # no chatter
     assert step.status.limit is Limit.OBSTACLE
     assert step.status.pair[1] == "solid"
     assert abs(step.status.distance - 0.02) < 1e-4
@@ -171,7 +176,7 @@ def test_velocities_decay_when_it_comes_to_rest(robot):
         step = controller.step(controller.position, Reference.pose(below), DT)
         speeds.append(np.abs(step.velocity).max())
     tail = [max(speeds[k : k + 200]) for k in range(2400, 4000, 200)]
-    assert all(later <= earlier for earlier, later in zip(tail, tail[1:], strict=False))
+    assert all(later <= earlier for earlier, later in itertools.pairwise(tail))
 
 
 def test_a_lost_target_before_an_obstacle_still_stops_in_time(robot):
@@ -253,7 +258,9 @@ def test_obstacles_by_topic_and_the_state_brings_them_back_bit_for_bit(robot):
     base, home = parameters.base_frame, robot.model.forward(robot.home)
     below = pin.SE3(home.rotation, home.translation - np.array([0.0, 0.0, 0.3]))
     here = home.translation - np.array([0.0, 0.0, 0.2])
-    scene = markers(("crate", 3, 1, 0, here, (0.4, 0.4, 0.1)), ("lamp", 0, 2, 0, here + 1.0, (0.1, 0.1, 0.1)), frame=base)
+    scene = markers(
+        ("crate", 3, 1, 0, here, (0.4, 0.4, 0.1)), ("lamp", 0, 2, 0, here + 1.0, (0.1, 0.1, 0.1)), frame=base
+    )
     session = Session(robot.model, parameters)
 
     def feed(k, at):
