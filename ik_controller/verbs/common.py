@@ -203,31 +203,56 @@ def print_table(rows: Sequence[Sequence[str]], header: Sequence[str] = (), style
     if not rows and not header:
         return
     numeric = [bool(header) and all(_is_number(row[i]) for row in rows) for i in range(len(header or rows[0]))]
-    limit = width()
-    head = list(header)
+    limit, head = width(), list(header)
     widths = _widths(rows, head)
-    if head and sum(widths) + 2 * (len(widths) - 1) > limit:
+    if head and _total(widths) > limit:
         short = iter(short_names([name for name, number in zip(head, numeric, strict=True) if number]))
         head = [next(short) if number else name for name, number in zip(head, numeric, strict=True)]
         widths = _widths(rows, head)
-    excess = sum(widths) + 2 * (len(widths) - 1) - limit
-    texts = [i for i, number in enumerate(numeric) if not number]
-    if excess > 0 and texts:
-        widest = max(texts, key=lambda i: widths[i])
-        widths[widest] = max(widths[widest] - excess, 16)
-    for index, row in enumerate([head, *rows] if head else rows):
-        cells = [
-            [c.rjust(w)] if n else textwrap.wrap(c, w, break_on_hyphens=False) or [""]
-            for c, w, n in zip(row, widths, numeric, strict=True)
+    if head and _total(widths) > limit:  # names over numbers go over several lines
+        inner = _widths(rows, [])
+        widths = [
+            max(inner[i], *map(len, head[i].replace("_", "_ ").split())) if number else widths[i]
+            for i, number in enumerate(numeric)
         ]
-        style = styles[index - bool(head)] if styles and index >= bool(head) else ""
+    gap = "  " if _total(widths) <= limit else " "
+    texts = [i for i, number in enumerate(numeric) if not number]
+    if _total(widths) > limit and texts:
+        gap = "  "
+        widest = max(texts, key=lambda i: widths[i])
+        widths[widest] = max(widths[widest] - (_total(widths) - limit), 16)
+    for index, row in enumerate([head, *rows] if head else rows):
+        title = bool(head) and index == 0
+        cells = [_lines(text, w, title and number) for text, w, number in zip(row, widths, numeric, strict=True)]
+        style = styles[index - bool(head)] if styles and not title else ""
         for k in range(max(map(len, cells))):
-            line = [(c[k] if k < len(c) else "").ljust(w) for c, w in zip(cells, widths, strict=True)]
+            line = [
+                text.rjust(w) if number else text.ljust(w)
+                for text, w, number in zip((c[k] if k < len(c) else "" for c in cells), widths, numeric, strict=True)
+            ]
             if style and line[0].strip():
                 line[0] = styled(line[0], style)
-            print("  ".join(line).rstrip())
-        if head and index == 0:
-            print("  ".join("-" * w for w in widths))
+            print(gap.join(line).rstrip())
+        if title:
+            print(gap.join("-" * w for w in widths))
+
+
+def _lines(text: str, columns: int, name: bool) -> list[str]:
+    """Return a cell's lines; a name is broken behind its underscores."""
+    if len(text) <= columns:
+        return [text]
+    if not name:
+        return textwrap.wrap(text, columns, break_on_hyphens=False)
+    lines = [""]
+    for part in text.replace("_", "_ ").split():
+        if lines[-1] and len(lines[-1]) + len(part) > columns:
+            lines.append("")
+        lines[-1] += part
+    return lines
+
+
+def _total(widths: Sequence[int]) -> int:
+    return sum(widths) + 2 * (len(widths) - 1)
 
 
 def _widths(rows: Sequence[Sequence[str]], head: Sequence[str]) -> list[int]:

@@ -114,14 +114,14 @@ def show(model: RobotModel, solution: Solution, arguments: argparse.Namespace) -
     from ik_controller.kinematics.solution import REASONS
 
     if solution.history:
-        header = ("restart", "k", *model.joint_names, "position [m]", "orientation [rad]")
+        header = ("try", "k", *model.joint_names, "position [m]", "rotation [rad]")
         rows = [
             (
                 str(row.restart),
                 str(row.k),
-                *(f"{x:.5g}" for x in row.q),
-                f"{row.position_error_m:.3e}",
-                f"{row.orientation_error_rad:.3e}",
+                *(f"{x:.3g}" for x in row.q),
+                f"{row.position_error_m:.1e}",
+                f"{row.orientation_error_rad:.1e}",
             )
             for row in solution.history
         ]
