@@ -101,6 +101,16 @@ class ControllerParameters:
     velocity_scale: float = parameter(1.0, "limits", "Factor on all speed limits.", low=0.001, high=1.0)
     acceleration_scale: float = parameter(1.0, "limits", "Factor on all acceleration limits.", low=0.001, high=1.0)
     jerk_scale: float = parameter(1.0, "limits", "Factor on all jerk limits.", low=0.001, high=1.0)
+    tool_linear_speed: float = parameter(
+        0.0, "limits", "Speed limit of the tool point; 0: none. Joint limits come first.", unit="m/s", low=0.0
+    )
+    tool_angular_speed: float = parameter(0.0, "limits", "Turning limit of the tool; 0: none.", unit="rad/s", low=0.0)
+    tool_linear_acceleration: float = parameter(
+        0.0, "limits", "Acceleration limit of the tool point; 0: none.", unit="m/s²", low=0.0
+    )
+    tool_angular_acceleration: float = parameter(
+        0.0, "limits", "Angular acceleration limit of the tool; 0: none.", unit="rad/s²", low=0.0
+    )
     # obstacles
     self_collision: bool = parameter(False, "obstacles", "Keep the arm off itself.", read_only=True)
     obstacle_avoidance: bool = parameter(

@@ -13,9 +13,9 @@ start has to be braked as well, and is missing where the tool is to stop. So whe
 cycle no faster than the joints' accelerations allow without that help.
 
 Where no s in [0, 1] can hold the direction, because a joint must still brake from the last cycle, the tool may go on
-along its last velocity too: J q̇ = s₁ J q̇_wanted + s₂ ẋ_last, s₁, s₂ in [0, 1]. So it leaves no straight line, and
-turns from one direction into another between the two. Where that has no solution either, the closest velocity in the
-intervals is taken, with the rows G q̇ ≤ g as far as they can be kept.
+along its last velocity too: J q̇ = s₁ J q̇_wanted + s₂ ẋ_last, s₁, s₂ ≥ 0, s₁ + s₂ ≤ 1. So it leaves no straight line,
+turns from one direction into another between the two, and is no faster than the faster of them. Where that has no
+solution either, the closest velocity in the intervals is taken, with the rows G q̇ ≤ g as far as they can be kept.
 """
 
 from __future__ import annotations
@@ -145,12 +145,13 @@ def _on_path(
 ) -> tuple[bool, float]:
     """Write y = aim + Σ tᵢ waysᵢ + N z (n,) within all bounds, ‖(√W t, z)‖ the shortest; return (is there one, s₁).
 
-    `ways` (2, n), of which the first `count` are used: t₁ = 1 − s₁ with 0 ≤ s₁ ≤ `most`, and 0 ≤ t₂ = s₂ ≤ 1; without
-    any, s₁ = 1. `null` (n − r, n): N, transposed.
+    `ways` (2, n), of which the first `count` are used: t₁ = 1 − s₁ with 0 ≤ s₁ ≤ `most`, and t₂ = s₂ with 0 ≤ s₂ ≤ t₁;
+    without any, s₁ = 1. `null` (n − r, n): N, transposed.
     """
     n, k = aim.shape[0], row_bounds.shape[0]
     p, omega = count + null.shape[0], math.sqrt(SCALE_WEIGHT)
-    c, lower, upper, x = np.zeros((n + count + k, p)), np.empty(n + count + k), np.empty(n + count + k), np.empty(p)
+    first = n + (3 if count == 2 else count)  # the first row of G
+    c, lower, upper, x = np.zeros((first + k, p)), np.empty(first + k), np.empty(first + k), np.empty(p)
     for j in range(n):
         for way in range(count):
             c[j, way] = ways[way, j] / omega
@@ -163,8 +164,10 @@ def _on_path(
     if count > 1:
         c[n + 1, 1] = 1.0 / omega
         lower[n + 1], upper[n + 1] = 0.0, 1.0
+        c[n + 2, 0], c[n + 2, 1] = -1.0 / omega, 1.0 / omega
+        lower[n + 2], upper[n + 2] = -math.inf, 0.0
     for i in range(k):
-        row = n + count + i
+        row = first + i
         size = _row_size(rows, i, limit)
         lower[row], upper[row] = -math.inf, row_bounds[i] / size
         for j in range(n):

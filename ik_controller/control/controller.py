@@ -20,6 +20,7 @@ from ik_controller.control.gate import Gate
 from ik_controller.control.kernel import (
     BOUNDS,
     BRAKING,
+    BRAKING_SHARE,
     BY_POSITION,
     LAST,
     NOT_FINITE,
@@ -29,7 +30,7 @@ from ik_controller.control.kernel import (
     tool_cycle,
     tool_velocity,
 )
-from ik_controller.control.law import BRAKING_SHARE, Law
+from ik_controller.control.law import Law
 from ik_controller.control.limits import JointLimits
 from ik_controller.control.obstacles import Obstacles, Scene
 from ik_controller.control.reference import Reference
@@ -237,6 +238,7 @@ class Controller:
             with contextlib.suppress(ArgumentError):  # at a singularity: the damped velocity it is
                 jacobian = law.jacobian(at + 0.5 * dt * self._v)
                 wanted = law.named_velocity(jacobian, twist, feedback, at)
+                law.bound_tool(wanted, jacobian, self._state[2 * n : 2 * n + 6], self._v, dt)
                 how, scale, joint, limit = bounded_cycle(wanted, jacobian, table, self._state, reserve, dt, out)
         if not measure:
             out[2 * n + 6 :] = error
@@ -348,7 +350,11 @@ class Controller:
 
     def _stop(self, dt: float, code: Code) -> Step:
         """Brake all joints as one, so that the arm stops along its joint-space direction, then hold."""
-        velocity = self._limits.stop(self._v, self._gate.acceleration, dt)
+        limits = self._limits
+        velocity = limits.stop(self._v, self._gate.acceleration, dt)
+        gently = self._law.tool_keeps(self._state[2 * self._n : 2 * self._n + 6], dt) * self._v
+        if np.abs(gently).max() > np.abs(velocity).max():  # the joints' own limits come first
+            velocity = np.fmin(np.fmax(gently, limits.low), limits.high)
         if not self._obstacles.allow(velocity):
             velocity = self._obstacles.braking.copy()  # each joint for itself: the path that was found free
         if velocity.any() and code is Code.HOLDING:

@@ -26,6 +26,9 @@ ENDLESS = 1e18  # room ahead of a joint without bounds [rad or m]
 # Near a singularity the feedback K e is slowed as a whole to these speeds of the tool along any axis.
 FASTEST_APPROACH = 1.5  # [m/s]
 FASTEST_TURN = 3.0  # [rad/s]
+# Share of the acceleration limits that the approach to a target plans its braking with; the rest is for the moving
+# reference, the turning of J and the posture.
+BRAKING_SHARE = 0.7
 
 
 # Rows of the table of limits (5, 2n), or (7, 2n) where joints have jerk limits; each holds its values upward (first n)
@@ -38,8 +41,9 @@ FULL_ACCELERATION = 4  # the model's own
 JERK = 5  # first n, inf for a joint without one; last n: the model's own
 LAST = 6  # first n: the last accelerations; last n: the model's own velocity limits
 
-# Rows of the table of the law (10, max(n, 6)): K (6, 6), scalars, and what is given for each joint.
-SCALARS = 6  # largest eigenvalue of K, gain of the posture, λ, ε, number of directions the arm can move in
+# Rows of the table of the law (10, max(n, 9)): K (6, 6), scalars, and what is given for each joint.
+SCALARS = 6  # largest eigenvalue of K, gain of the posture, λ, ε, number of directions the arm can move in, and
+TOOL_SPEED, TOOL_ACCELERATION = 5, 7  # the tool's bounds: columns of that row, linear and angular, inf for none
 BRAKING = 7  # accelerations that the approach plans its braking with
 POSTURE = 8
 SEEK_LIMIT = 9  # at most so fast towards the posture
@@ -165,6 +169,70 @@ def unhurried(feedback: Array, sigma: float, threshold: float) -> float:
 
 
 @compiled
+def tool_is_free(law: Array) -> bool:
+    """Tell whether the tool itself has no bounds."""
+    bound = law[SCALARS]
+    for k in range(TOOL_SPEED, TOOL_ACCELERATION + 2):  # noqa: SIM110 (Numba compiles no generators)
+        if bound[k] < math.inf:
+            return False
+    return True
+
+
+@compiled
+def longer(vector: Array, linear: float, angular: float) -> float:
+    """Return by how much a twist (6,) is above two bounds: max(|v|/linear, |ω|/angular)."""
+    v = math.sqrt(vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2])
+    w = math.sqrt(vector[3] * vector[3] + vector[4] * vector[4] + vector[5] * vector[5])
+    excess: float = max(v / linear, w / angular)
+    return excess
+
+
+@compiled
+def stoppable_share(feedback: Array, law: Array) -> float:
+    """Return β ≤ 1 for K e (6,) as `braking_factor` does for the joints, with the accelerations of the tool."""
+    scalars = law[SCALARS]
+    ratio: float = (
+        scalars[0] * longer(feedback, scalars[TOOL_ACCELERATION], scalars[TOOL_ACCELERATION + 1]) / BRAKING_SHARE
+    )
+    if ratio > 1.0:
+        return math.sqrt(2.0 * ratio - 1.0) / ratio
+    return 1.0
+
+
+@compiled
+def bound_tool(
+    wanted: Array, jacobian: Array, inverse: Array, last: Array, v: Array, law: Array, dt: float
+) -> tuple[float, int]:
+    """Bring the velocity `wanted` (n,), in place, within the tool's bounds; return (s, limit).
+
+    With ẋ = J q̇ slowed as a whole to the tool's speeds, and Δ = ẋ − ẋ_last, the tool takes ẋ_last + σ Δ, so far as its
+    accelerations allow; `last` ẋ_last (6,). J⁺ẋ_last is v + Jᵀ · `inverse` · (ẋ_last − J v), v (n,) the last velocity.
+    """
+    n, bound = wanted.shape[0], law[SCALARS]
+    speed, limit = times(jacobian, wanted), FREE
+    slower = 1.0 / max(longer(speed, bound[TOOL_SPEED], bound[TOOL_SPEED + 1]), 1.0)
+    if slower < 1.0:
+        limit = BY_TOOL_SPEED
+        for j in range(n):
+            wanted[j] *= slower
+    change, rest = np.empty(6), times(jacobian, v)
+    for i in range(6):
+        change[i], rest[i] = slower * speed[i] - last[i], last[i] - rest[i]
+    share = longer(change, bound[TOOL_ACCELERATION] * dt, bound[TOOL_ACCELERATION + 1] * dt)
+    if not share > 1.0:
+        return slower, limit
+    share = 1.0 / share
+    before = transposed_times(jacobian, times(inverse, rest))
+    for j in range(n):
+        wanted[j] = share * wanted[j] + (1.0 - share) * (v[j] + before[j])
+    along, square = 0.0, 0.0
+    for i in range(6):
+        along += (last[i] + share * change[i]) * speed[i]
+        square += speed[i] * speed[i]
+    return min(max(along / square, 0.0), 1.0) if square > 0.0 else 0.0, BY_TOOL_ACCELERATION
+
+
+@compiled
 def task_velocity(
     jacobian: Array, inverse: Array, feed_forward: Array, feedback: Array, share: float, law: Array, at: Array
 ) -> Array:
@@ -219,11 +287,11 @@ def tool_cycle(
     """
     n = at.shape[0]
     jacobian, wanted = np.empty((6, n)), np.empty(n)
-    sigma = tool_velocity(
+    sigma, slower, by_tool = tool_velocity(
         chain, law, state, at, position, rotation, twist, feedback, measure, dt, out[2 * n + 6 :], jacobian, wanted
     )
     how, scale, joint, limit = bounded_cycle(wanted, jacobian, limits, state, reserve, dt, out, rows, row_bounds)
-    return how, scale, joint, limit, sigma
+    return how, slower * scale, joint, by_tool if limit == FREE else limit, sigma
 
 
 @compiled
@@ -241,8 +309,9 @@ def tool_velocity(
     error: Array,
     jacobian: Array,
     wanted: Array,
-) -> float:
-    """Write the law's velocity `wanted` (n,), before any limit, and the J (6, n) that it takes; return σ_min.
+) -> tuple[float, float, int]:
+    """Write the law's velocity `wanted` (n,) within the tool's bounds, before any limit of joints, and the J (6, n)
+    that it takes; return (σ_min, s, limit) with the tool's bound as the limit.
 
     `error` e (6,) is written where `measure`; the rest as in `tool_cycle`.
     """
@@ -260,8 +329,14 @@ def tool_velocity(
     threshold = law[SCALARS, 3]
     inverse, sigma = damped_gram_inverse(gram(jacobian), law[SCALARS, 2], threshold, int(law[SCALARS, 4]))
     share = unhurried(feedback, sigma, threshold)
+    bounded = not tool_is_free(law)
+    if bounded:
+        share = min(share, stoppable_share(feedback, law))
     wanted[:] = task_velocity(jacobian, inverse, twist, feedback, share, law, at)
-    return sigma
+    slower, limit = 1.0, FREE
+    if bounded:
+        slower, limit = bound_tool(wanted, jacobian, inverse, state[2 * n :], state[n : 2 * n], law, dt)
+    return sigma, slower, limit
 
 
 @compiled

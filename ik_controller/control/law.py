@@ -18,9 +18,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ik_controller.control.kernel import BRAKING, POSTURE, SCALARS, SEEK_LIMIT, braking_factor
+from ik_controller.control.kernel import (
+    BRAKING,
+    BRAKING_SHARE,
+    POSTURE,
+    SCALARS,
+    SEEK_LIMIT,
+    TOOL_ACCELERATION,
+    bound_tool,
+    braking_factor,
+    longer,
+    tool_is_free,
+)
 from ik_controller.control.reference import Reference
 from ik_controller.errors import ArgumentError, ParameterError
+from ik_controller.kinematics.damped_inverse import damped_gram_inverse
 from ik_controller.kinematics.inverses import INVERSES, inverse
 from ik_controller.kinematics.levenberg_marquardt import kinematics, solver_chain
 from ik_controller.kinematics.model import RobotModel
@@ -31,9 +43,6 @@ Array = NDArray[np.float64]
 
 DEFAULT_INVERSE = "numerical_filtering"  # worked out inside the kernel
 
-# Share of the acceleration limits that the approach to a target plans its braking with; the rest is for the moving
-# reference, the turning of J and the posture.
-BRAKING_SHARE = 0.7
 # The posture is sought at most at this share of the velocity limits.
 _POSTURE_SHARE = 0.2
 
@@ -56,14 +65,15 @@ class Law:
         self.feed_forward = parameters.feed_forward
         self.threshold = parameters.singular_value_threshold
         self.chain = solver_chain(model)
-        self.table = np.zeros((10, max(n, 6)))  # rows as `kernel` numbers them
+        self.table = np.zeros((10, max(n, 9)))  # rows as `kernel` numbers them
         self.table[:6, :6] = gain
-        self.table[SCALARS, :5] = (
+        self.table[SCALARS, :9] = (
             rates.max(),
             parameters.posture_gain if parameters.posture else 0.0,
             parameters.damping,
             parameters.singular_value_threshold,
             _directions(model),
+            *(bound or np.inf for bound in _tool_bounds(parameters)),
         )
         self.table[BRAKING, :n] = BRAKING_SHARE * model.acceleration_limit * parameters.acceleration_scale
         self.table[POSTURE, :n] = parameters.posture if parameters.posture else 0.0
@@ -94,6 +104,18 @@ class Law:
         steady: Array = null + sharp @ (feed_forward - jacobian @ null)
         return steady + braking_factor(approach, table[SCALARS, 0], table[BRAKING, :n]) * approach
 
+    def bound_tool(self, wanted: Array, jacobian: Array, last: Array, v: Array, dt: float) -> None:
+        """Bring `wanted` (n,), in place, within the tool's bounds: see `kernel.bound_tool`."""
+        if not tool_is_free(self.table):
+            table = self.table[SCALARS]
+            sharp, _ = damped_gram_inverse(jacobian @ jacobian.T, float(table[2]), float(table[3]))
+            bound_tool(wanted, jacobian, sharp, last, v, self.table, dt)
+
+    def tool_keeps(self, tool_velocity: Array, dt: float) -> float:
+        """Return the share of a tool velocity (6,) that its accelerations leave at least after braking for dt [s]."""
+        linear, angular = self.table[SCALARS, TOOL_ACCELERATION : TOOL_ACCELERATION + 2]
+        return max(1.0 - 1.0 / max(longer(tool_velocity, linear * dt, angular * dt), 1e-9), 0.0)
+
     def jacobian(self, q: Array) -> Array:
         """Return J (6, n) of the tool at q (n,)."""
         jacobian = np.empty((6, q.size))
@@ -122,6 +144,16 @@ def _directions(model: RobotModel) -> int:
     rng = np.random.default_rng(0)
     lower, upper = np.fmax(model.lower, -math.pi), np.fmin(model.upper, math.pi)
     return max(int(np.linalg.matrix_rank(model.jacobian(rng.uniform(lower, upper)), tol=1e-9)) for _ in range(5))
+
+
+def _tool_bounds(parameters: ControllerParameters) -> tuple[float, float, float, float]:
+    """Return the tool's speeds and accelerations, linear and angular; 0 where there is none."""
+    return (
+        parameters.tool_linear_speed,
+        parameters.tool_angular_speed,
+        parameters.tool_linear_acceleration,
+        parameters.tool_angular_acceleration,
+    )
 
 
 def _options(parameters: ControllerParameters) -> dict[str, Any]:

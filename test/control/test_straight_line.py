@@ -1,0 +1,143 @@
+"""Straight lines that ask for more than the joints can give, and the tool's own bounds."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from motions import bundled, difference, moved, started
+
+from ik_controller import ControllerParameters, Reference
+from ik_controller.control.status import Limit
+from ik_controller.control.targets import Targets
+
+WAY = np.array([0.1, 0.5, -0.3])  # of a line through the Panda's workspace [m]
+
+
+def line(robot, seconds: float, t: float):
+    """Return the pose at t [s] of a straight line of `WAY`, gone in `seconds` at constant speed."""
+    home = robot.model.forward(robot.home)
+    share = min(max(t / seconds, 0.0), 1.0)
+    return moved(home, np.append((share - 0.5) * WAY, np.zeros(3)))
+
+
+def off_line(robot, pose) -> float:
+    """Return how far [m] a pose is from the line, or [rad] turned off it."""
+    change = difference(pose, robot.model.forward(robot.home))
+    along = WAY / np.linalg.norm(WAY)
+    aside = change[:3] - (change[:3] @ along) * along
+    return float(max(np.linalg.norm(aside), np.linalg.norm(change[3:])))
+
+
+def references(kind: str, robot, seconds: float, parameters: ControllerParameters, dt: float):
+    """Yield each cycle's reference, the line given in one of the ways that a client may give it, until it has ended."""
+    targets = Targets(parameters)
+    period, start = round(1e9 * dt), 1_000_000_000
+    twist = np.append(WAY / seconds, np.zeros(3))
+    end = start + round(1e9 * seconds)
+    if kind == "trajectory":
+        points = [(start + round(1e9 * t), line(robot, seconds, t)) for t in (0.0, seconds)]
+        targets.set_trajectory(
+            start, [(time, pose.translation.copy(), pose.rotation.copy(), twist.copy()) for time, pose in points]
+        )
+    sent = 0
+    for now in range(start, end + 3_000_000_000, period):
+        while kind != "trajectory" and start + sent * 10_000_000 <= now:  # 100 Hz, also after the end
+            stamp = start + sent * 10_000_000
+            pose = line(robot, seconds, (stamp - start) * 1e-9)
+            targets.add_pose(stamp, now, pose.translation.copy(), pose.rotation.copy())
+            if kind == "poses and twists":
+                targets.add_twist(stamp, now, twist if stamp < end else np.zeros(6))
+            sent += 1
+        yield targets.reference(now, dt)
+
+
+def at_start(robot) -> np.ndarray:
+    """Return joints at the line's start."""
+    controller = started(robot)
+    for _ in range(1500):
+        step = controller.step(controller.position, Reference.pose(line(robot, 1.0, 0.0)), 1e-3)
+    return step.position
+
+
+@pytest.mark.parametrize("kind", ["poses", "poses and twists", "trajectory"])
+@pytest.mark.parametrize(("rate", "scales"), [(1000.0, (0.2, 1.0)), (500.0, (0.2, 1.0)), (1000.0, (0.2, 0.1))])
+def test_a_line_too_fast_for_the_joints_is_left_by_less_than_a_micrometre(kind, rate, scales):
+    """The line asks for 1.2 m/s, the joints at a fifth of their speeds give a third of it."""
+    robot = bundled("panda")
+    changes = {"rate": rate, "velocity_scale": scales[0], "acceleration_scale": scales[1]}
+    controller = started(robot, at_start(robot), **changes)
+    worst, slowest = 0.0, 1.0
+    for reference in references(kind, robot, 0.5, controller.parameters, 1.0 / rate):
+        step = controller.step(controller.position, reference, 1.0 / rate)
+        worst = max(worst, off_line(robot, robot.model.forward(step.position)))
+        slowest = min(slowest, step.status.scale)
+    assert slowest < 0.5
+    assert worst < 1e-6
+    assert np.abs(difference(line(robot, 0.5, 1.0), robot.model.forward(step.position))).max() < 1e-6
+
+
+def test_a_joint_held_at_its_limit_costs_no_accuracy():
+    """With joint 1 kept where it starts, the same line is tracked as well as without."""
+    robot = bundled("panda")
+    start, errors = at_start(robot), {}
+    for held in (False, True):
+        model = robot.model
+        lower, upper = model.lower.copy(), model.upper.copy()
+        if held:
+            upper[0] = start[0]
+        limited = type(robot)(_with_bounds(lower, upper), robot.parameters, robot.home)
+        controller = started(limited, start)
+        errors[held] = 0.0
+        for k in range(2000):
+            now, then = line(robot, 2.0, k * 1e-3), line(robot, 2.0, (k + 1) * 1e-3)
+            step = controller.step(controller.position, Reference.between(now, then, 1e-3), 1e-3)
+            if k > 300:  # the start from rest is behind
+                errors[held] = max(errors[held], np.abs(difference(then, limited.model.forward(step.position))).max())
+            assert (step.position <= upper + 1e-12).all()
+        if held:
+            assert step.position[0] == pytest.approx(start[0], abs=1e-6) or step.position[0] < start[0]
+    assert errors[True] < 1.5 * errors[False] + 1e-9
+
+
+def _with_bounds(lower, upper):
+    from ik_controller.robots import build_model, bundled_parameters
+
+    model = build_model(bundled_parameters("panda"))
+    model.set_limits(lower=lower, upper=upper)
+    return model
+
+
+BOUNDS = {
+    "tool_linear_speed": 0.3,
+    "tool_angular_speed": 0.5,
+    "tool_linear_acceleration": 2.0,
+    "tool_angular_acceleration": 4.0,
+}
+
+
+@pytest.mark.parametrize(
+    "change", [[0.2, 0.2, -0.2, 0, 0, 0], [0, 0, 0, 0.5, -0.3, 0.4], [0.1, -0.2, 0, 0.1, 0.2, 0.3]]
+)
+def test_the_tools_own_bounds_hold_while_tracking_and_stopping(change):
+    """Measured on the stream of commands by an independent forward kinematics."""
+    robot = bundled("panda")
+    controller = started(robot, **BOUNDS)
+    home = robot.model.forward(robot.home)
+    target = moved(home, np.array(change, dtype=float))
+    poses, limits, dt = [home], set(), 1e-3
+    for k in range(3500):
+        reference = Reference.pose(target) if k < 300 or 900 < k < 3200 else None
+        step = controller.step(controller.position, reference, dt)
+        limits.add(step.status.limit)
+        poses.append(robot.model.forward(step.position))
+    twists = np.array([difference(then, now) / dt for now, then in pairwise(poses)])
+    changes = np.diff(twists, axis=0) / dt
+    for part, kind in ((slice(0, 3), "linear"), (slice(3, 6), "angular")):
+        fastest = np.linalg.norm(twists[:, part], axis=1).max()
+        hardest = np.linalg.norm(changes[:, part], axis=1).max()
+        assert fastest <= BOUNDS[f"tool_{kind}_speed"] * (1 + 1e-3)
+        assert hardest <= BOUNDS[f"tool_{kind}_acceleration"] * 1.1
+    assert {Limit.TOOL_SPEED, Limit.TOOL_ACCELERATION} & limits
+    assert np.abs(difference(target, poses[3199])).max() < 1e-4
