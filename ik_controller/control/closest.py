@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ik_controller.control.kernel import braking_factor
+from ik_controller.control.kernel import ENDLESS, braking_factor
 from ik_controller.control.least_distance import least_distance
 
 Array = NDArray[np.float64]
@@ -45,9 +45,9 @@ def slide(
     """
     n = speed.size
     twice = np.concatenate((braking, braking))
-    room = np.fmax(room, 0.0)
+    room = np.clip(room, 0.0, ENDLESS)
     stoppable = 2.0 * room / (np.sqrt(dt * dt + 2.0 * room / twice) + dt)  # as in `kernel.fastest_stoppable`
-    stoppable = np.where(np.isnan(stoppable), np.inf, np.fmin(stoppable, room / dt))
+    stoppable = np.fmin(stoppable, room / dt)
     most = np.fmin(stoppable / np.concatenate((speed, speed)), 1.0)
     task = jacobian * speed
     factor = np.linalg.inv(np.linalg.cholesky(task.T @ task + _WEIGHT * np.eye(n)))
