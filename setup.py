@@ -56,7 +56,7 @@ setup(
     entry_points={
         "console_scripts": [
             "ik_controller = ik_controller.cli:main",
-            "ik_controller_node = ik_controller.ros.process:main",
+            "ik_controller_node = ik_controller.ros.process:run",
         ],
     },
     zip_safe=False,
