@@ -134,9 +134,18 @@ def _steps() -> list[dict[str, Any]]:
         return step
 
     slow = parameters.replace({"velocity_scale": 0.02})
+    tool = parameters.replace({"tool_linear_speed": 1.7, "tool_linear_acceleration": 13.0})
+    endless = [1e9] * model.n
+    free = build_model(parameters)
+    free.set_limits(velocity=endless, acceleration=endless, lower=[-1e9] * model.n, upper=endless)
     rows = []
-    for name, settings in (("step, limits idle", parameters), ("step, limits saturated", slow)):
-        ours, theirs = stepper(Controller(model, settings)), textbook()
+    for name, arm, settings in (
+        ("step, bare", free, parameters.replace({"posture": ()})),
+        ("step, limits idle", model, parameters),
+        ("step, limits saturated", model, slow),
+        ("step, tool bounds idle", model, tool),
+    ):
+        ours, theirs = stepper(Controller(arm, settings)), textbook()
         for _ in range(200):
             ours(), theirs()
         rows.append(_row(name, *_side_by_side(ours, theirs), "textbook NumPy step"))
