@@ -43,8 +43,8 @@ class Replay:
 
     `commands` compared; `identical` None where there was nothing to compare; `first_difference` the cycle's index, None
     where all are identical; `max_difference` [rad or m] in cycle `max_at`; `first_beyond` the tolerance; `…_s` are
-    times [s] since the run's start. What differs as (then, now): `software` by name, `code`, `model` (of the robot as it is
-    known here), `parameters` by name (changes).
+    times [s] since the run's start. What differs as (then, now): `software` by name, `code`, `model` (of the robot as
+    it is known here), `parameters` by name (changes).
     """
 
     commands: int = 0
@@ -176,12 +176,12 @@ def replay(
     """Replay a bag and compare; see the module.
 
     `changes`: parameters to change, for a what-if run. `robot`: the parameters for a bag that holds no run of ours, and
-    `targets` how its motion is taken. `tolerance` [rad or m]: beyond which a difference is noted as such. `output`:
+    `targets` how its motion is taken; with sources, a run of ours is taken as somebody's motion too. `tolerance` [rad or m]: beyond which a difference is noted as such. `output`:
     folder of a new bag with the replayed run. `watch` sees the cycles of a run of ours pass. Raises BagError,
     ParameterError, ModelError.
     """
     changed = dict(changes or {})
-    if RunInfo.of(bag) is None:
+    if RunInfo.of(bag) is None or (targets is not None and targets.sources):
         if robot is None:
             raise BagError(f"bag '{bag.path}' holds no run of ik_controller: name the robot to run its targets on")
         from ik_controller.recording.ideal_run import run_on_ideal_arm

@@ -68,7 +68,7 @@ def _show(content: dict[str, Any]) -> None:
     rows = []
     for name, one in content["a"].items():
         two = content["b"][name]
-        if one or two:
+        if (one or two) or name.endswith(("_min", "_max")):
             change = ""
             if isinstance(one, (int, float)) and isinstance(two, (int, float)) and one and one != two:
                 change = f"{100.0 * (two - one) / abs(one):+.2f} %"

@@ -60,6 +60,9 @@ def test_command(command, tmp_path):
     shutil.copytree(ROOT / "bags", tmp_path / "bags")
     (tmp_path / "FILE").write_text("gain: 20.0\n", encoding="utf-8")
     (tmp_path / "my_arm.yaml").write_text("robot: panda\n", encoding="utf-8")
+    (tmp_path / "fr2_desk_groundtruth.txt").write_text("0 1 2 3 0 0 0 1\n0.01 1 2 3 0 0 0 1\n", encoding="utf-8")
+    (tmp_path / "log.csv").write_text("time,px,py,pz,rx,ry,rz\n0,1,2,3,0,0,90\n", encoding="utf-8")
+    (tmp_path / "motion.txt").write_text("0 1 2 3 0 0 0 1\n0.01 1 2 3 0 0 0 1\n", encoding="utf-8")
     shutil.copytree(ROOT / "bags" / "ur5e_golden", tmp_path / "BAG")
     process = subprocess.run(
         [sys.executable, "-m", "ik_controller.cli", *words[1:]],
