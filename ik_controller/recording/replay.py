@@ -176,9 +176,9 @@ def replay(
     """Replay a bag and compare; see the module.
 
     `changes`: parameters to change, for a what-if run. `robot`: the parameters for a bag that holds no run of ours, and
-    `targets` how its motion is taken; with sources, a run of ours is taken as somebody's motion too. `tolerance` [rad or m]: beyond which a difference is noted as such. `output`:
-    folder of a new bag with the replayed run. `watch` sees the cycles of a run of ours pass. Raises BagError,
-    ParameterError, ModelError.
+    `targets` how its motion is taken; with sources, a run of ours is taken as somebody's motion too. `tolerance`:
+    beyond which a difference is noted as such [rad or m]. `output`: folder of a new bag with the replayed run. `watch`
+    sees the cycles of a run of ours pass. Raises BagError, ParameterError, ModelError.
     """
     changed = dict(changes or {})
     if RunInfo.of(bag) is None or (targets is not None and targets.sources):
