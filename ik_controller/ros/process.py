@@ -64,6 +64,15 @@ def _named(error: IkControllerError, node: str, nodes: Sized) -> IkControllerErr
     return error if len(nodes) == 1 else type(error)(f"{node}: {error}")
 
 
+def _outcome(failures: list[Exception]) -> int:
+    """Tell what went wrong and return the exit code; raise what is no mistake in the configuration."""
+    for failure in failures:
+        if not isinstance(failure, IkControllerError):
+            raise failure
+        print(f"ik_controller_node: {failure}", file=sys.stderr)
+    return 2 if failures else 0
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run until SIGINT or SIGTERM: exit code 0 then, 2 for a mistake in the configuration of any arm."""
     # rclpy's own handlers would shut the context down before the stop command can go out.
@@ -103,19 +112,16 @@ def main(arguments: list[str] | None = None) -> int:
             while thread.is_alive() and not node.preparing:
                 thread.join(0.1)
         if any(thread.is_alive() for thread in threads):  # compiling, which takes long and cannot be broken off
+            code = _outcome(failures)
             sys.stderr.flush()
-            os._exit(2 if failures else 0)
+            os._exit(code)
     except IkControllerError as error:
         failures.append(error)
     finally:
         for node in nodes:
             node.destroy_node()
         rclpy.try_shutdown()
-    for failure in failures:
-        if not isinstance(failure, IkControllerError):
-            raise failure
-        print(f"ik_controller_node: {failure}", file=sys.stderr)
-    return 2 if failures else 0
+    return _outcome(failures)
 
 
 def run() -> None:
