@@ -7,6 +7,7 @@ joint states alone) is run against the ideal arm at the configured rate instead;
 from __future__ import annotations
 
 import contextlib
+import gc
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -197,6 +198,8 @@ def replay(
     other = other_output(session)
     first = last = 0
     session.warm_up()
+    gc.collect()
+    gc.freeze()  # what is there by now need not be looked through again and again while cycles pass
     begin = time.perf_counter()
     passing = cycles(bag, session, info, changed, writer)
     for cycle in passing if watch is None else watch(passing, session):
@@ -227,6 +230,7 @@ def replay(
                 cycle.number, cycle.time, int(session.status.code), cycle.late, cycle.work, int(step is not None)
             )
     result.elapsed = time.perf_counter() - begin
+    gc.unfreeze()
     result.duration = (last - first) * 1e-9
     if not result.commands:  # nothing was compared, so nothing is known
         result.identical = None
