@@ -4,6 +4,7 @@ topics, services and parameters that everybody has; the node does not know of it
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import threading
 import time
@@ -26,10 +27,15 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
+from visualization_msgs.msg import MarkerArray
 
+from ik_controller.control.obstacles import Scene
 from ik_controller.errors import IkControllerError, MessageError
+from ik_controller.kinematics.collision_world import World
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.messages import cdr
+from ik_controller.messages.frames import Frames
+from ik_controller.messages.markers import take_markers
 from ik_controller.parameters import ControllerParameters, specs
 from ik_controller.robots import build_model, urdf_text
 from ik_controller.ros.polling import PolledGroup, PolledSubscription
@@ -90,13 +96,20 @@ class Viewer:
             name: PolledSubscription(node, group, kind, topic, 1, reliable=False)
             for name, (kind, topic) in inputs.items()
         }
+        # Obstacles may be latched or not; see `inputs`.
+        self._markers = [
+            PolledSubscription(node, group, MarkerArray, f"{target}/obstacles", 100, reliable=latch, latched=latch)
+            for latch in (True, False)
+        ]
+        self._world = World()
+        self._frames: Frames | None = None
+        self._q: Array | None = None  # as last commanded
         self._model: RobotModel | None = None
         self._joints: cdr.JointStateReader | None = None
         self._error = np.zeros(6)
         self._speed = 0.0
         self._asked: Any = None
         self._heard = -_SILENT  # when the node last told its status
-        self._commanded_at = 0.0
 
     def stop(self, *_: Any) -> None:
         """End `run`; for signal handlers."""
@@ -135,6 +148,7 @@ class Viewer:
             self._attach()
         if self._model is None or self._joints is None or not redraw:
             return
+        self._look_at_obstacles()
         for kind in ("measured", "commanded"):
             data = self._latest(kind)
             if data is None:
@@ -146,7 +160,7 @@ class Viewer:
             if q is not None:
                 self.page.show_arm(kind, q.copy())
                 if kind == "commanded":
-                    self._commanded_at = now
+                    self._q = q.copy()
                     velocity = np.array(cdr.decode(cdr.JOINT_STATE, data).velocity)
                     self._speed = float(np.max(np.abs(velocity) / self._model.velocity_limit))
         data = self._latest("error")
@@ -156,6 +170,16 @@ class Viewer:
             self._error = np.array((v.x, v.y, v.z, w.x, w.y, w.z))
             position, turn = float(np.linalg.norm(self._error[:3])), float(np.linalg.norm(self._error[3:]))
             self.page.show_errors(seconds, position, turn, self._speed)
+
+    def _look_at_obstacles(self) -> None:
+        frames, changed = self._frames, False
+        for subscription in self._markers if frames is not None else ():
+            while (data := subscription.take()) is not None:
+                with contextlib.suppress(MessageError):  # the node says what is wrong with it
+                    take_markers(data, self._world, lambda name: frames.placement(name, self._q))  # type: ignore[union-attr]
+                    changed = True
+        if changed:
+            self.page.show_obstacles(self._world)
 
     def _latest(self, name: str) -> bytes | None:
         latest = None
@@ -209,7 +233,10 @@ class Viewer:
         )
         if note:
             self.page.notify("Robot", note)
-        self._model, self._joints = model, cdr.JointStateReader(model.joint_names)
+        self._model, self._joints, self._frames = model, cdr.JointStateReader(model.joint_names), Frames(model)
+        with contextlib.suppress(IkControllerError):  # a file of the node's machine, not of this one
+            self._world = Scene.of(model, parameters).world
+            self.page.show_obstacles(self._world)
         sliders = {name: getattr(parameters, name) for name in SLIDERS}
         self.page.show_parameters({n: float(v[0] if isinstance(v, tuple) else v) for n, v in sliders.items()})
 

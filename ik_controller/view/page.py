@@ -18,10 +18,13 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+import trimesh
 import viser
 import viser.uplot
 from numpy.typing import NDArray
 
+from ik_controller.kinematics.collision_distance import BOX, CYLINDER, HALF_SPACE
+from ik_controller.kinematics.collision_world import World
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.view.shapes import ArmShapes
 
@@ -219,22 +222,26 @@ class Page:
             for controls in self._controls.values():
                 controls.show(values)
 
-    def show_obstacles(self, shapes: Sequence[tuple[str, Sequence[float], Any]]) -> None:
-        """Show obstacles: (kind "box", "sphere", "cylinder" or "capsule", sizes [m], `pin.SE3` in the base frame)."""
+    def show_obstacles(self, world: World) -> None:
+        """Show the solids of a world."""
         with self._lock:
             for old in self._obstacles:
                 old.remove()
             self._obstacles = []
-            for index, (kind, size, pose) in enumerate(shapes):
-                place: dict[str, Any] = {"position": pose.translation, "wxyz": _wxyz(pose.rotation)}
-                look: dict[str, Any] = {"color": (200, 80, 70), "opacity": 0.6}
+            for index, (kind, size, rotation, center, _) in enumerate(zip(*world.arrays(), strict=True)):
+                look: dict[str, Any] = {"color": (200, 80, 70), "opacity": 0.6, "wxyz": _wxyz(rotation)}
                 name, scene = f"/obstacles/{index}", self.server.scene
-                if kind == "box":
-                    handle: Any = scene.add_box(name, dimensions=tuple(size), **look, **place)
-                elif kind == "sphere":
-                    handle = scene.add_icosphere(name, radius=size[0], **look, **place)
+                if kind == BOX:
+                    handle: Any = scene.add_box(name, dimensions=2.0 * size, position=center, **look)
+                elif kind == HALF_SPACE:  # as a slab whose upper face is its boundary
+                    below = center - 0.005 * rotation[:, 2]
+                    handle = scene.add_box(name, dimensions=(2.0, 2.0, 0.01), position=below, **look)
+                elif kind == CYLINDER:
+                    handle = scene.add_cylinder(name, radius=size[1], height=2.0 * size[0], position=center, **look)
                 else:
-                    handle = scene.add_cylinder(name, radius=size[0], height=size[1], **look, **place)
+                    shape = trimesh.creation.capsule(height=2.0 * size[0], radius=size[1])
+                    shape.apply_translation((0.0, 0.0, -shape.bounds.mean(axis=0)[2]))
+                    handle = scene.add_mesh_simple(name, shape.vertices, shape.faces, position=center, **look)
                 self._obstacles.append(handle)
 
     def notify(self, title: str, text: str) -> None:

@@ -15,6 +15,7 @@ import pytest
 from rclpy.node import Node
 from rig import CLI, Rig, environment
 from sensor_msgs.msg import Joy
+from visualization_msgs.msg import Marker, MarkerArray
 
 from ik_controller.robots import build_model, bundled_parameters
 
@@ -65,6 +66,17 @@ def test_the_page_steers_and_follows(live, viewer):
     live.until(lambda: abs(tool_moves(live, 2) - 0.03) < 1e-4, "the tool to get there")
     live.until_status("holding")  # what was let go of is not sent for ever
     live.until(lambda: np.linalg.norm(page._tool.translation - goal.translation) < 1e-3, "the page to show it")
+
+    marker = Marker(type=Marker.SPHERE, action=Marker.ADD, ns="ball")
+    marker.header.frame_id = "panda_link0"
+    marker.pose.position.x, marker.pose.orientation.w = 3.0, 1.0
+    marker.scale.x = marker.scale.y = marker.scale.z = 0.2
+    hand = Node("hand", context=live.context, enable_rosout=False)
+    publisher = hand.create_publisher(MarkerArray, "/ik_controller/obstacles", 10)
+    try:
+        live.until(lambda: publisher.publish(MarkerArray(markers=[marker])) or len(page._obstacles) == 1, "the ball")
+    finally:
+        hand.destroy_node()
 
     page._steering.set("gain", 20.0)
     live.until(lambda: live.get_parameter("gain") == [20.0], "the gain to be set")

@@ -14,6 +14,7 @@ pytest.importorskip("viser")
 
 from browser import Watched, browser
 
+from ik_controller.kinematics.collision_world import World, box, capsule, cylinder, half_space, sphere
 from ik_controller.robots import build_model, bundled_parameters
 from ik_controller.view.door import Door
 from ik_controller.view.page import Page, Steering
@@ -155,3 +156,17 @@ def test_sliders_set_parameters(shown):
         box.fill("0.25")
         box.press("Enter")
         until(lambda: ("velocity_scale", 0.25) in shown.settings, "the slider is told", page)
+
+
+def test_every_kind_of_obstacle_is_shown(shown):
+    world = World()
+    world.put("box", box(0.1, 0.2, 0.3))
+    world.put("ball", sphere(0.1))
+    world.put("capsule", capsule(0.05, 0.4))
+    world.put("post", cylinder(0.05, 1.0))
+    world.put("table", half_space(np.array([0.0, 0.0, 1.0]), -0.1))
+    shown.page.show_obstacles(world)
+    assert len(shown.page._obstacles) == 5
+    assert shown.page._obstacles[4].position[2] == pytest.approx(-0.105)  # the slab ends where the half-space does
+    shown.page.show_obstacles(World())
+    assert shown.page._obstacles == []
