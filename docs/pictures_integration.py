@@ -66,8 +66,8 @@ def step(start: Any, t: float) -> tuple[Any, np.ndarray]:
     return pin.SE3(start.rotation, start.translation + np.array([0.08, 0.0, -0.06])), np.zeros(6)
 
 
-def main() -> None:
-    """Draw docs/images/integration_base.png."""
+def integration_base() -> Any:
+    """Draw what each base does with a step, a circle, an arm held fast and a joint that sags."""
     figure, axes = plt.subplots(2, 2, figsize=(11.0, 6.5), layout="constrained")
     plots = (
         (axes[0, 0], "A target 10 cm away", step, 2.0, {}),
@@ -85,11 +85,8 @@ def main() -> None:
         ax.grid(color="0.9")
         ax.spines[["top", "right"]].set_visible(False)
     axes[0, 0].legend(frameon=False)
-    IMAGES.mkdir(exist_ok=True)
-    file = IMAGES / "integration_base.png"
-    figure.savefig(file, dpi=110, metadata={"Software": None})
-    print(file)
+    return figure
 
 
 if __name__ == "__main__":
-    main()
+    integration_base().savefig(IMAGES / "integration_base.png", dpi=110, metadata={"Software": None})

@@ -209,4 +209,4 @@ def test_damaged_messages_raise_nothing_but_message_errors(data):
 
 
 def test_every_role_has_a_type_and_a_way_in():
-    assert set(GOOD) | {"joint_states"} == set(INPUTS)
+    assert set(GOOD) | {"joint_states", "obstacles"} == set(INPUTS)  # obstacles: control/test_obstacles

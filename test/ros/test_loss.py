@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bisect
 import json
 import signal
 import subprocess
@@ -123,8 +124,9 @@ def test_sigkill_loses_at_most_100_ms_and_the_rest_replays(rig: Rig) -> None:
 
     kept = [cdr.stamp_of(cdr.decode(cdr.JOINT_STATE, m.data)) for m in whole.messages(["/joint_commands"])]
     heard = [stamp(c) for c in rig.heard["joint_commands"]]
-    known = kept[kept.index(heard[0]) :]  # we may not have heard the very first ones
-    assert known == heard[: len(known)]
+    # All that was heard up to the end of the recording is in it; a busy machine lets us miss some, never the recorder.
+    assert set(heard[: bisect.bisect_right(heard, kept[-1])]) <= set(kept)
+    assert (np.diff(kept) > 0).all()
     # How late commands came is how long the machine held up the node, or us: it is no loss of the recorder's.
     late = max(arrival - at for arrival, at in list(zip(rig.arrivals["joint_commands"], heard, strict=True))[-500:])
     assert heard[-1] - kept[-1] <= 100_000_000 + late
