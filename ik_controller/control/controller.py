@@ -263,7 +263,7 @@ class Controller:
                         law.chain, law.table, self._state, at, position, rotation, twist, feedback, measure, dt,
                         np.empty(6), jacobian, wanted,
                     )  # fmt: skip
-                if not (self._obstacles.allow(wanted) and self._obstacles.allow(out[n : 2 * n])):
+                if not (self._obstacles.let(wanted) and self._obstacles.allow(out[n : 2 * n])):
                     status = Status(Code.TRACKING, 1.0, Limit.NONE, -1, damped, sigma)
                     return self._pass_by(wanted, jacobian, dt, out[2 * n + 6 :], status)
         self._keep(out)
@@ -328,7 +328,7 @@ class Controller:
             return self._stop(dt, Code.HOLDING)
         excess = float((np.abs(wanted) / limits.velocity).max())
         scale = 1.0 / max(excess, 1.0)
-        if not self._obstacles.allow(scale * wanted):
+        if not self._obstacles.let(scale * wanted):
             return self._pass_by(wanted, None, dt, np.zeros(6), Status(Code.TRACKING))
         velocity = np.fmin(np.fmax(scale * wanted, limits.low), limits.high)
         if not self._obstacles.allow(velocity):

@@ -20,8 +20,11 @@ from ik_controller.kinematics.collision_distance import point_apart, segment_apa
 Array = NDArray[np.float64]
 
 MOST_ROWS = 48  # a cycle; beyond, the loosest give way
+_MOST_HERE = 32  # of them about the next position
 _FIRST_STRIDE = 0.002  # [m] that no point of the arm moves more from here to the first look at the braking path
 _STRIDE = 0.7  # of the way so far to the next one
+_CLOSE = 0.005  # [m] above the minimum distance, where a row is written always
+_AHEAD = 10.0  # cycles of acceleration in which a row farther away must be reached to be written
 _STILL = 1e-9  # gradient [m/rad] of a distance that does not change
 _PARALLEL = 0.1  # sine of the angle below which two capsules are watched at their ends too
 
@@ -41,8 +44,9 @@ def obstacle_rows(
     rows: Array,
     bounds: Array,
     about: Array,
-) -> tuple[int, float, int, int]:
-    """Write the rows of the cycle that starts at the commanded q (n,); return how many, and the nearest pair.
+) -> tuple[int, int, float, int, int]:
+    """Write the rows of the cycle that starts at the commanded q (n,); return how many are about the next position, how
+    many with those about the braking path behind them, and the nearest pair.
 
     `chain`, `arm` (joint, ends, radius, pairs, reach), `world`: arrays of `Chain`, `ArmCollision`, `World.arrays`;
     `low`, `high` (n,): the velocities that the joints may take; `brake`, `deceleration` (n,): of `hardest_stop`;
@@ -63,7 +67,7 @@ def obstacle_rows(
         time = abs(brake[i]) / deceleration[i]
         stop_time = max(stop_time, time)
         way += reach[i] * (abs(brake[i]) * 0.5 * time)
-    used, nearest, first, second = 0, math.inf, -1, -1
+    used, begin, nearest, first, second = 0, 0, math.inf, -1, -1
     look, reached, stride, last = 0, 0.0, 0.0, False
     while not last:
         # Looks lie the closer the nearer they are: what lies between two is seen in time, when it has come nearer.
@@ -75,7 +79,8 @@ def obstacle_rows(
             mine = min(time, abs(brake[i]) / deceleration[i])
             at[i] = q[i] + brake[i] * (dt + mine) - math.copysign(0.5 * deceleration[i] * mine * mine, brake[i])
             # Of the braking distance v²/2a, the slope of its chord up to the hardest acceleration from here.
-            weight[i] = dt if look == 0 else dt + mine + (dt if mine > 0.0 else 0.0)
+            # The same for a joint at rest, so that near rest the row's direction is that of the gradient.
+            weight[i] = dt if look == 0 else 2.0 * dt + mine
             change += reach[i] * weight[i] * (high[i] - low[i])
         # Between two looks a rounded body of radius R may come nearer than at both, by stride² / 8R.
         sag = 0.125 * stride * stride
@@ -106,7 +111,7 @@ def obstacle_rows(
             gradient(chain, axes, position, joint[i], a, normal, 1.0, slope, True)
             gradient(chain, axes, position, joint[j], b, normal, -1.0, slope, False)
             used = _row(
-                slope, weight, distance, minimum, settings[3], look == 0, brake, low, high, dt, i, j, used, rows,
+                slope, weight, distance, minimum, settings[3], look == 0, brake, low, high, dt, i, j, used, begin, rows,
                 bounds, about,
             )  # fmt: skip
             if look > 0 or not _parallel(placed, i, j, longest_i, longest_j):
@@ -124,7 +129,7 @@ def obstacle_rows(
                 gradient(chain, axes, position, joint[k_other], b, normal, -1.0, slope, False)
                 used = _row(
                     slope, weight, apart - radius[i] - radius[j], settings[1], settings[3], True, brake, low, high, dt,
-                    i, j, used, rows, bounds, about,
+                    i, j, used, begin, rows, bounds, about,
                 )  # fmt: skip
         for w in range(kind.shape[0]):
             for i in range(count):
@@ -153,25 +158,27 @@ def obstacle_rows(
                 gradient(chain, axes, position, joint[i], a, normal, 1.0, slope, True)
                 used = _row(
                     slope, weight, apart - radius[i], minimum, settings[3], look == 0, brake, low, high, dt,
-                    i, -1 - w, used, rows, bounds, about,
+                    i, -1 - w, used, begin, rows, bounds, about,
                 )  # fmt: skip
                 if look > 0:
                     continue
                 for e in range(2):  # flat on a face the nearest point jumps from end to end
-                    if where != e:
+                    if where != e and longest > 0.0:
                         apart = point_apart(kind[w], size[w], turn[w], center[w], placed[i, e], normal)
                         if apart <= near:
                             gradient(chain, axes, position, joint[i], placed[i, e], normal, 1.0, slope, True)
                             used = _row(
                                 slope, weight, apart - radius[i], settings[0], settings[3], True, brake, low, high, dt,
-                                i, -1 - w, used, rows, bounds, about,
+                                i, -1 - w, used, begin, rows, bounds, about,
                             )  # fmt: skip
+        if look == 0:
+            begin = used
         look += 1
         stride = min(max(_FIRST_STRIDE, _STRIDE * reached), way - reached)
         reached += stride
         if way - reached < 1e-3 * way:
             reached = way
-    return used, nearest, first, second
+    return begin, used, nearest, first, second
 
 
 @compiled
@@ -283,13 +290,15 @@ def _row(
     first: int,
     second: int,
     used: int,
+    begin: int,
     rows: Array,
     bounds: Array,
     about: Array,
 ) -> int:
     """Write the row of one distance, whose gradient (n,) is `slope`, where it can become active; return how many are.
 
-    `here`: at the next position, else on the braking path; `weight` (n,) [s]: how that configuration moves with q̇.
+    `here`: at the next position, else on the braking path, whose rows start at `begin`; `weight` (n,) [s]: how that
+    configuration moves with q̇.
     """
     n = slope.shape[0]
     room = distance - minimum
@@ -301,9 +310,9 @@ def _row(
         return used
     keeping, fastest, farthest = 0.0, 0.0, 0.0  # G q̇ for braking, and the most and the least there is
     at = used
-    if used == rows.shape[0]:  # full: the loosest gives way, where it is looser than this one
-        at = 0
-        for k in range(1, used):
+    if used == (_MOST_HERE if here else rows.shape[0]):  # full: the loosest gives way, where this one is tighter
+        at = begin
+        for k in range(begin + 1, used):
             if about[k, 2] > about[at, 2]:
                 at = k
         if about[at, 2] <= distance:
@@ -320,6 +329,12 @@ def _row(
         limit = min(max(damped, keeping), limit) if room > 0.0 else damped
     if room <= 0.0:
         limit = max(limit, min(keeping, 0.5 * (keeping + farthest)))
+    # What could stop the arm within some cycles is told too: else it would go straight on in every cycle after one in
+    # which it got a little away.
+    if here and room < _CLOSE:
+        fastest = math.inf
+    elif here:
+        fastest = keeping + _AHEAD * (fastest - keeping)
     if fastest <= limit:
         return used
     for i in range(n):

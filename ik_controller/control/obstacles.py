@@ -157,7 +157,7 @@ class Obstacles:
         self._rows, self._bounds, self._about = np.zeros((MOST_ROWS, n)), np.zeros(MOST_ROWS), np.zeros((MOST_ROWS, 4))
         self.braking, self._deceleration = np.zeros(n), np.zeros(n)
         self._nearest = (-1, -1)
-        self.count = 0
+        self.count = self._here = 0
         self.distance = math.inf
         self._dt = 0.0
 
@@ -172,13 +172,13 @@ class Obstacles:
         return how many there are. `limits` are this cycle's.
         """
         arm, world = self.scene.arm, self.scene.world
-        self.count, self._dt = 0, dt
+        self.count, self._here, self._dt = 0, 0, dt
         if arm is None or not self.watching:
             return 0
         hardest_stop(
             v, a, dt, limits.low, limits.high, limits.acceleration, limits.jerk, self.braking, self._deceleration
         )
-        self.count, self.distance, first, second = obstacle_rows(
+        self._here, self.count, self.distance, first, second = obstacle_rows(
             self._chain,
             (arm.joint, arm.ends, arm.radius, arm.pairs, arm.reach),
             world.arrays(),
@@ -202,8 +202,14 @@ class Obstacles:
         return self._rows[: self.count], self._bounds[: self.count]
 
     def allow(self, velocity: Array) -> bool:
-        """Tell whether G q̇ ≤ g for a velocity (n,)."""
+        """Tell whether G q̇ ≤ g for a velocity (n,) that the joints can take now."""
         return self.count == 0 or allowed(self._rows, self._bounds, self.count, velocity)
+
+    def let(self, wanted: Array) -> bool:
+        """Tell whether the dampers let a velocity (n,) pass that the joints may be far from: braking rows know nothing
+        about it.
+        """
+        return self._here == 0 or allowed(self._rows, self._bounds, self._here, wanted)
 
     def pass_by(
         self, wanted: Array, jacobian: Array | None, q: Array, limits: JointLimits
@@ -212,8 +218,8 @@ class Obstacles:
         which limit, names and distance [m] of the pair.
 
         Nearest by what the tool does, J (m, n), and far behind that by what the joints do; by the joints alone without
-        J. The rows, the joints' bounds and speeds come first, and then how soon the joints can get there, so that an
-        arm that brakes is not led astray.
+        J. The dampers, the joints' bounds and speeds come first, and then the braking path and how soon the joints can
+        get there, so that an arm that brakes is not led astray.
 
         A pressed arm's normals turn as it moves. What that does in one cycle to what the rows push back must die out
         too, in every direction: the joints get a weight that grows with that push.
@@ -232,12 +238,15 @@ class Obstacles:
         diagonal = metric.reshape(-1)[:: q.size + 1]
         plain = diagonal.copy()
         diagonal += quiet * pull
-        found, push = _nearest_allowed(aim, metric, low, high, rows, bounds)
-        diagonal[:] = plain + quiet * float(np.add.reduce(push))
-        found, push = _nearest_allowed(aim, metric, low, high, rows, bounds)
+        here = rows[: self._here], bounds[: self._here]
+        found, push = _nearest_allowed(aim, metric, low, high, *here)
+        pushed = float(np.add.reduce(push))
+        if pushed > 2.0 * pull:  # squeezed: more than was reckoned with
+            diagonal[:] = plain + quiet * pushed
+            found, push = _nearest_allowed(aim, metric, low, high, *here)
         aim = aim if found is None else found
         velocity = np.fmin(np.fmax(aim, limits.low), limits.high)
-        if (velocity != aim).any() or found is None:
+        if (velocity != aim).any() or found is None or not self.allow(velocity):
             diagonal[:] = plain
             found, push = _nearest_allowed(aim, metric, limits.low, limits.high, rows, bounds)
             if found is None:  # squeezed from two sides: at least not nearer

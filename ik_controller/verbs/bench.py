@@ -83,6 +83,7 @@ def _steps() -> list[dict[str, Any]]:
     import pinocchio as pin
 
     from ik_controller import Controller, Reference
+    from ik_controller.kinematics.collision_world import box, half_space
     from ik_controller.robots import build_model, bundled_parameters
 
     parameters = bundled_parameters("panda")
@@ -138,14 +139,23 @@ def _steps() -> list[dict[str, Any]]:
     endless = [1e9] * model.n
     free = build_model(parameters)
     free.set_limits(velocity=endless, acceleration=endless, lower=[-1e9] * model.n, upper=endless)
+    watched = parameters.replace({"self_collision": True, "obstacle_avoidance": True})
+    pressed = Controller(model, watched)
+    # The figure-eight runs through it; the others are the room.
+    place = pin.SE3(np.eye(3), start.translation + np.array([0.0, 0.12, -0.06]))
+    pressed.scene.world.put("box", box(0.3, 0.3, 0.1).at(place))
+    pressed.scene.world.put("floor", half_space(np.array([0.0, 0.0, 1.0]), 0.0))
+    pressed.scene.world.put("wall", box(0.02, 2.0, 1.0).at(pin.SE3(np.eye(3), np.array([0.75, 0.0, 0.5]))))
     rows = []
-    for name, arm, settings in (
-        ("step, bare", free, parameters.replace({"posture": ()})),
-        ("step, limits idle", model, parameters),
-        ("step, limits saturated", model, slow),
-        ("step, tool bounds idle", model, tool),
+    for name, controller in (
+        ("step, bare", Controller(free, parameters.replace({"posture": ()}))),
+        ("step, limits idle", Controller(model, parameters)),
+        ("step, limits saturated", Controller(model, slow)),
+        ("step, tool bounds idle", Controller(model, tool)),
+        ("step, self-collision watched", Controller(model, parameters.replace({"self_collision": True}))),
+        ("step, pressed on an obstacle", pressed),
     ):
-        ours, theirs = stepper(Controller(arm, settings)), textbook()
+        ours, theirs = stepper(controller), textbook()
         for _ in range(200):
             ours(), theirs()
         rows.append(_row(name, *_side_by_side(ours, theirs), "textbook NumPy step"))
