@@ -106,14 +106,16 @@ def approach(robot, seed: int, cycles: int):
         reference = Reference.pose(pin.SE3(tool.rotation, tool.translation + way))
     controller = Controller(model, parameters, scene)
     controller.reset(q)
-    least, before, path = [np.inf, np.inf], controller.velocity, []
-    for k in range(2 * cycles + 4000):
-        if k > 2 * cycles and np.abs(controller.position - q).max() < 1e-3:
-            break
+    least, before, path = [np.inf, np.inf], controller.velocity, [q]
+    for k in range(8 * cycles + 4000):
         if k < cycles:
             path.append(controller.position)
-        else:
-            reference = Reference.joint(path[max(2 * cycles - k, 0) // 10 * 10 if k > cycles else -1])
+        elif np.abs(controller.position - path[-1]).max() < 0.02:  # paced, so that it does not cut corners
+            if len(path) == 1 and np.abs(controller.position - q).max() < 1e-3:
+                break
+            path = path[:1] if len(path) < 20 else path[:-10]
+        if k >= cycles:
+            reference = Reference.joint(path[-1])
         step = controller.step(controller.position, reference, DT)
         assert (np.abs(step.velocity - before) <= model.acceleration_limit * DT * (1.0 + 1e-9) + 1e-14).all()
         before = step.velocity
