@@ -20,7 +20,7 @@ from ik_controller.errors import ParameterError, choices
 from ik_controller.parameter_file import values_in
 from ik_controller.parameter_spec import Spec, parameter
 
-SECTIONS = ("robot", "limits", "obstacles", "law", "reference", "node", "recording")
+SECTIONS = ("robot", "limits", "obstacles", "law", "tasks", "reference", "node", "recording")
 
 ORIENTATION_ERRORS = (
     "exponential_base",
@@ -189,6 +189,38 @@ class ControllerParameters:
         unit="rad, m",
         low=1e-6,
     )  # fmt: skip
+    # tasks
+    task_axes: str = parameter(
+        "xyzrpy", "tasks", "Axes that the tool must follow: letters of xyzrpy in this order, the last y the yaw."
+    )
+    task_frame: str = parameter(
+        "base", "tasks", "Frame of these axes, and of K: the base, or the desired tool frame.", legal=("base", "tool")
+    )
+    task_tolerance: tuple[float, ...] = parameter(
+        (),
+        "tasks",
+        "Band that the error of each axis may stay in, x y z and the rotations about them; one value: all; empty: 0.",
+        unit="m, rad",
+        low=0.0,
+        lengths=(0, 1, 6),
+    )
+    secondary_tasks: tuple[str, ...] = parameter(
+        (),
+        "tasks",
+        "Tasks below the tool's, the first first: 'position FRAME' or some axes ('z FRAME'), 'orientation FRAME', "
+        "'swivel'.",
+    )
+    secondary_targets: tuple[float, ...] = parameter(
+        (), "tasks", "Their targets in the base frame, one after the other.", unit="m, rad, 1"
+    )
+    secondary_gains: tuple[float, ...] = parameter((), "tasks", "Their gains; empty: 2.", unit="1/s", low=0.0)
+    objectives: tuple[str, ...] = parameter(
+        (), "tasks", "What is left climbs these: joint_centring, limit_repulsion, manipulability."
+    )
+    objective_gains: tuple[float, ...] = parameter((), "tasks", "Their gains; empty: 1.", unit="rad²/s")
+    joint_weights: tuple[float, ...] = parameter(
+        (), "tasks", "Effort of each joint's motion, of which the least is sought; empty: all the same.", low=1e-6
+    )
     # reference
     mode: str = parameter(
         "auto",

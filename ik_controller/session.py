@@ -37,6 +37,13 @@ from ik_controller.robots import with_tool
 
 Array = NDArray[np.float64]
 
+# Turns the stack of tasks on: a user may in motion, and it must not be compiled then.
+_IN_STACK = {
+    "task_tolerance": 1e-3,
+    "inverse": "numerical_filtering",
+    "orientation_error": "exponential_base",
+}
+
 EVENTS = ("pause", "resume", "reset", "clock", "parameters", "refuse", "transform", "state")
 
 
@@ -264,6 +271,12 @@ class Session:
             for _ in range(3):
                 scratch.cycle(now)
                 now += self.period
+        scratch.set_parameters(self.parameters.replace(_IN_STACK))
+        for role, data in targets[:1]:
+            scratch.take("joint_states", state, now)
+            scratch.take(role, data, now)
+            scratch.cycle(now)
+            now += self.period
         scratch.apply('{"do": "pause"}')
         scratch.cycle(now)
         scratch.controller.halt("rehearsal")

@@ -21,13 +21,14 @@ solution either, the closest velocity in the intervals is taken, with the rows G
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.control.least_distance import least_distance
 from ik_controller.kinematics.accelerate import compiled
-from ik_controller.kinematics.small import reflect_rows, turn_back
+from ik_controller.kinematics.small import DEPENDENT, reflect_rows, turn_back
 
 Array = NDArray[np.float64]
 
@@ -35,6 +36,7 @@ Array = NDArray[np.float64]
 ALONG, BETWEEN, CLOSEST = 0, 1, 2
 
 SCALE_WEIGHT = 1e8  # W, against joint velocities of order one
+_STACK_WEIGHT = 1e11  # W in a stack, whose secondary tasks have weights of their own
 _CLOSEST_WEIGHT = 1e-4  # pull to the wanted joint velocities beside the task, where the task cannot be held
 _ROW_WEIGHT = 1e8  # on the square of how far a row of G is not kept
 _TOLERANCE = 1e-12  # of bounds, as a share of the velocity limits
@@ -52,13 +54,17 @@ def bounded_velocity(
     rows: Array,
     row_bounds: Array,
     velocity: Array,
+    own: Any = None,
+    secondary: Any = None,
+    weights: Any = None,
 ) -> tuple[float, int]:
     """Write the velocity (n,) nearest to `wanted` (n,) in [`low`, `high`] that keeps the tool's direction; return s and
     how it was found.
 
     `jacobian` J (m, n); `last` ẋ_last (m,), the task velocity of the last cycle; `limit` (n,), the velocity limits;
-    `step` (n,), by how much a velocity may change in a cycle;
-    `rows` G (k, n) and `row_bounds` g (k,), k may be 0. The result is always in [low, high].
+    `step` (n,), by how much a velocity may change in a cycle; `rows` G (k, n) and `row_bounds` g (k,), k may be 0. In a
+    stack of tasks, `own` (n,) is what of `wanted` the first task asks for, and `secondary` (l, n) are those that give
+    way before it does, but after what is in no task, at their `weights` (l,). The result is always in [low, high].
     """
     n, m = wanted.shape[0], jacobian.shape[0]
     task, aim, largest = np.empty((m, n)), np.empty(n), 1.0
@@ -75,7 +81,11 @@ def bounded_velocity(
         null[i, rank + i] = 1.0
         turn_back(task, factor, rank, null[i])
     ways, y, found = np.zeros((2, n)), np.empty(n), ALONG
-    solved, scale = _on_path(aim, ways, 0, 1.0, null, low, high, limit, rows, row_bounds, tolerance, y)
+    omega, ease, free = math.sqrt(SCALE_WEIGHT), aim, null
+    if own is not None:
+        omega, ease, free = math.sqrt(_STACK_WEIGHT), own / limit, null.copy()
+        _weigh(free, secondary, weights, limit)
+    solved, scale = _on_path(aim, ways, omega, 0, 1.0, free, low, high, limit, rows, row_bounds, tolerance, y)
     if not solved:
         for j in range(n):
             ways[0, j] = -aim[j]
@@ -86,17 +96,48 @@ def bounded_velocity(
                 total -= task[i, j] * ways[1, j]
             ways[1, i] = total / corner[i]
         turn_back(task, factor, rank, ways[1])
-        most = _most_at_ease(aim, ways[1], null, limit, step)
-        solved, scale = _on_path(aim, ways, 1, most, null, low, high, limit, rows, row_bounds, tolerance, y)
+        most = _most_at_ease(ease, ways[1], null, limit, step)
+        solved, scale = _on_path(aim, ways, omega, 1, most, free, low, high, limit, rows, row_bounds, tolerance, y)
     if not solved:
         found = BETWEEN
-        solved, scale = _on_path(aim, ways, 2, 1.0, null, low, high, limit, rows, row_bounds, tolerance, y)
+        solved, scale = _on_path(aim, ways, omega, 2, 1.0, free, low, high, limit, rows, row_bounds, tolerance, y)
     if not solved:
         found, scale = CLOSEST, 1.0 / largest
         _closest(aim, scale, jacobian, low, high, limit, rows, row_bounds, y)
     for j in range(n):
         velocity[j] = min(max(y[j] * limit[j], low[j]), high[j])
     return min(max(scale, 0.0), 1.0), found
+
+
+@compiled
+def _weigh(null: Array, secondary: Array, weights: Array, limit: Array) -> None:
+    """Turn the basis `null` (p, n) so that its first rows span, one after the other, what `secondary` (l, n) leaves of
+    it, and divide each of these by √weight: as an unknown it then costs that weight.
+    """
+    (p, n), first = null.shape, 0
+    mirror = np.empty(p)
+    for task in range(secondary.shape[0]):
+        square, size = 0.0, 0.0
+        for i in range(first, p):
+            mirror[i] = 0.0
+            for j in range(n):
+                mirror[i] += null[i, j] * secondary[task, j] * limit[j]
+            square += mirror[i] * mirror[i]
+        for j in range(n):
+            size += secondary[task, j] * secondary[task, j] * limit[j] * limit[j]
+        if square <= DEPENDENT * size or square == 0.0:
+            continue
+        corner = -math.sqrt(square) if mirror[first] > 0.0 else math.sqrt(square)
+        mirror[first] -= corner
+        factor = -1.0 / (corner * mirror[first])
+        for j in range(n):
+            total = 0.0
+            for i in range(first, p):
+                total += null[i, j] * mirror[i]
+            for i in range(first, p):
+                null[i, j] -= factor * total * mirror[i]
+            null[first, j] /= math.sqrt(weights[task])
+        first += 1
 
 
 @compiled
@@ -132,6 +173,7 @@ def _most_at_ease(aim: Array, last: Array, null: Array, limit: Array, step: Arra
 def _on_path(
     aim: Array,
     ways: Array,
+    omega: float,
     count: int,
     most: float,
     null: Array,
@@ -143,13 +185,13 @@ def _on_path(
     tolerance: float,
     y: Array,
 ) -> tuple[bool, float]:
-    """Write y = aim + Σ tᵢ waysᵢ + N z (n,) within all bounds, ‖(√W t, z)‖ the shortest; return (is there one, s₁).
+    """Write y = aim + Σ tᵢ waysᵢ + N z (n,) within all bounds, ‖(ω t, z)‖ the shortest; return (is there one, s₁).
 
     `ways` (2, n), of which the first `count` are used: t₁ = 1 − s₁ with 0 ≤ s₁ ≤ `most`, and t₂ = s₂ with 0 ≤ s₂ ≤ t₁;
-    without any, s₁ = 1. `null` (n − r, n): N, transposed.
+    without any, s₁ = 1. `null` (n − r, n): N, transposed; ω² = W.
     """
     n, k = aim.shape[0], row_bounds.shape[0]
-    p, omega = count + null.shape[0], math.sqrt(SCALE_WEIGHT)
+    p = count + null.shape[0]
     first = n + (3 if count == 2 else count)  # the first row of G
     c, lower, upper, x = np.zeros((first + k, p)), np.empty(first + k), np.empty(first + k), np.empty(p)
     for j in range(n):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,7 +35,9 @@ from ik_controller.control.law import Law
 from ik_controller.control.limits import JointLimits
 from ik_controller.control.obstacles import Obstacles, Scene
 from ik_controller.control.reference import Reference
+from ik_controller.control.stack import stack_cycle
 from ik_controller.control.status import LIMITS, Code, Limit, Status
+from ik_controller.control.tasks import TaskStack
 from ik_controller.errors import ArgumentError, ParameterError, choices
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.parameters import ControllerParameters, gain_matrix
@@ -230,6 +233,8 @@ class Controller:
         measure = has_pose and law.in_kernel
         error, feedback = law.observe(reference, at) if has_pose and not measure else (_ZERO, _ZERO)
         out = np.empty(2 * n + 12)
+        if law.stack is not None:
+            return self._follow_stack(law.stack, has_pose, at, (position, rotation, twist), dt, table)
         how, scale, joint, limit, sigma = tool_cycle(
             law.chain, law.table, table, self._state, at, position, rotation, twist, feedback, measure, reserve, dt, out
         )
@@ -242,33 +247,50 @@ class Controller:
                 how, scale, joint, limit = bounded_cycle(wanted, jacobian, table, self._state, reserve, dt, out)
         if not measure:
             out[2 * n + 6 :] = error
-        if how == NOT_FINITE:
+        if scale < _STUCK and has_pose and how != NOT_FINITE:
+            tool, ask = law.jacobian(at + 0.5 * dt * self._v), law.feedback(out[2 * n + 6 :], feedback) + twist
+            how, joint, limit = self._slide(tool, tool, ask, dt, table, out) or (how, joint, limit)
+
+        def aim() -> tuple[Array, Array]:
+            if wanted is not None and jacobian is not None:
+                return wanted, jacobian
+            tool, velocity = np.empty((6, n)), np.empty(n)
+            tool_velocity(
+                law.chain, law.table, self._state, at, position, rotation, twist, feedback, measure, dt,
+                np.empty(6), tool, velocity,
+            )  # fmt: skip
+            return velocity, tool
+
+        status = Status(Code.TRACKING, scale, LIMITS[limit], joint, sigma < law.threshold, sigma, how != CLOSEST)
+        return self._finish(out, how == NOT_FINITE, has_pose, status, aim, dt, table)
+
+    def _finish(
+        self,
+        out: Array,
+        lost: bool,
+        has_pose: bool,
+        status: Status,
+        aim: Callable[[], tuple[Array, Array]],
+        dt: float,
+        table: Array,
+    ) -> Step:
+        """Take the cycle's outcome, unless an obstacle stands in its way or it is `lost`: not finite.
+
+        `aim` returns the wanted velocity (n,) and the Jacobian of the task (m, n); only obstacles ask for it.
+        """
+        n = self._n
+        if lost or self._obstacles.watching:
             self._limits.update(self._q, self._v, dt, table)
             self._obstacles.update(self._q, self._v, self._gate.acceleration, self._limits, dt)
+        if lost:
             return self._stop(dt, Code.HOLDING)
-        if scale < _STUCK and has_pose:
-            how, joint, limit = self._slide(law.feedback(out[2 * n + 6 :], feedback) + twist, at, dt, table, out) or (
-                how,
-                joint,
-                limit,
-            )
-        damped = sigma < law.threshold
-        if self._obstacles.watching:
-            self._limits.update(self._q, self._v, dt, table)
-            self._obstacles.update(self._q, self._v, self._gate.acceleration, self._limits, dt)
-            if self._obstacles.count:
-                if wanted is None:
-                    jacobian, wanted = np.empty((6, n)), np.empty(n)
-                    tool_velocity(
-                        law.chain, law.table, self._state, at, position, rotation, twist, feedback, measure, dt,
-                        np.empty(6), jacobian, wanted,
-                    )  # fmt: skip
-                if not (self._obstacles.let(wanted) and self._obstacles.allow(out[n : 2 * n])):
-                    status = Status(Code.TRACKING, 1.0, Limit.NONE, -1, damped, sigma)
-                    return self._pass_by(wanted, jacobian, dt, out[2 * n + 6 :], status)
+        if self._obstacles.watching and self._obstacles.count:
+            wanted, task = aim()
+            if not (self._obstacles.let(wanted) and self._obstacles.allow(out[n : 2 * n])):
+                status = status._replace(scale=1.0, limit=Limit.NONE, joint=-1, feasible=True)
+                return self._pass_by(wanted, task, dt, out[2 * n + 6 :], status)
         self._keep(out)
-        status = Status(Code.TRACKING, scale, LIMITS[limit], joint, damped, sigma, how != CLOSEST)
-        if has_pose and (damped or how == CLOSEST) and self._rests_away(out[2 * n + 6 :]):
+        if has_pose and (status.damped or not status.feasible) and self._rests_away(out[2 * n + 6 :]):
             status = status._replace(closest=True)
         return Step(self._q, self._v, out[2 * n + 6 :], status)
 
@@ -282,8 +304,11 @@ class Controller:
         """
         if not self._started or status.code not in (Code.TRACKING, Code.STOPPING, Code.HOLDING):
             return status
-        directions, values, _ = np.linalg.svd(self._law.jacobian(self._q))
-        rank = min(int(self._law.table[SCALARS, 4]), values.size)
+        axes, rank = np.eye(6), int(self._law.table[SCALARS, 4])
+        if self._law.stack is not None:
+            axes, rank = self._law.stack.selected(self._q)
+        directions, values, _ = np.linalg.svd(axes @ self._law.jacobian(self._q))
+        directions, rank = axes.T @ directions, min(rank, values.size)
         smallest = values.item(rank - 1)
         error = self._state[2 * self._n + 6 :]
         return status._replace(
@@ -295,23 +320,42 @@ class Controller:
         )
 
     def _slide(
-        self, task_velocity: Array, at: Array, dt: float, table: Array, out: Array
+        self, jacobian: Array, task: Array, task_velocity: Array, dt: float, table: Array, out: Array
     ) -> tuple[int, int, int] | None:
         """Write to `out` the way to the closest approach, where a joint at its bound keeps the tool from moving at all;
         return (how, joint, limit), None where that is not so.
+
+        `jacobian` (6, n) of the tool; `task` (m, n), the same or the rows of selected axes, and what they should do.
         """
         limits, law, n = self._limits, self._law, self._n
         limits.update(self._q, self._v, dt, table)
-        jacobian = law.jacobian(at + 0.5 * dt * self._v)
-        joint = blocked(jacobian, task_velocity, limits.low, limits.high, limits.velocity)
+        joint = blocked(task, task_velocity, limits.low, limits.high, limits.velocity)
         if joint < 0:
             return None
         room = table[BOUNDS] - np.concatenate((self._q, -self._q))
         fastest, braking = law.table[SCALARS, 0], law.table[BRAKING, :n]
-        wanted = slide(jacobian, task_velocity, room, limits.velocity, braking, fastest, dt)
+        wanted = slide(task, task_velocity, room, limits.velocity, braking, fastest, dt)
         velocity = np.fmin(np.fmax(wanted, limits.low), limits.high)
         out[: 2 * n + 6] = np.concatenate((self._q + dt * velocity, velocity, jacobian @ velocity))
         return CLOSEST, joint, BY_POSITION
+
+    def _follow_stack(
+        self, stack: TaskStack, has_pose: bool, at: Array, target: tuple[Any, Any, Array], dt: float, table: Array
+    ) -> Step:
+        """Follow a tool reference (position, rotation, twist) with the axes and tasks that the parameters select."""
+        law, n = self._law, self._n
+        position, rotation, twist = target
+        out, detail = np.zeros(2 * n + 12), np.zeros((7, n))
+        how, scale, joint, limit, sigma = stack_cycle(
+            law.chain, law.table, table, self._state, at, position, np.ascontiguousarray(rotation), twist, has_pose,
+            self._limits.reserve, dt, out, detail, *stack.tables,
+        )  # fmt: skip
+        if scale < _STUCK and has_pose and how != NOT_FINITE:
+            tool = law.jacobian(at + 0.5 * dt * self._v)
+            rows, ask = stack.wanted(position, rotation, twist, out[2 * n + 6 :], law.table[:6, :6], at)
+            how, joint, limit = self._slide(tool, rows @ tool, ask, dt, table, out) or (how, joint, limit)
+        status = Status(Code.TRACKING, scale, LIMITS[limit], joint, sigma < law.threshold, sigma, how != CLOSEST)
+        return self._finish(out, how == NOT_FINITE, has_pose, status, lambda: (detail[0], detail[1:]), dt, table)
 
     def _follow_joints(self, joints: Array, reference: Reference, dt: float) -> Step:
         """Joint-space target: q̇ = q̇_d + K (q_d − q), slowed as one where a joint must brake or is at a limit."""

@@ -350,10 +350,16 @@ def bounded_cycle(
     out: Array,
     rows: Any = None,
     row_bounds: Any = None,
+    task: Any = None,
+    last: Any = None,
+    own: Any = None,
+    secondary: Any = None,
+    weights: Any = None,
 ) -> tuple[int, float, int, int]:
     """Write the state (2n + 6,) that `wanted` (n,) leads to within the limits; return (how, s, joint, limit).
 
-    J (6, n); the rest as in `tool_cycle`.
+    J (6, n); the rest as in `tool_cycle`. A `task` (m, n) other than J with its rates of the `last` cycle (m,) is what
+    keeps its direction; `own`, `secondary` and `weights` as in `bounded_velocity`.
     """
     n = wanted.shape[0]
     q, v = state[:n], state[n : 2 * n]
@@ -381,7 +387,14 @@ def bounded_cycle(
             step[j] = limits[ACCELERATION, j] * dt
         low, high = -reach[n:], reach[:n]
         g, bounds = (np.empty((0, n)), np.empty(0)) if rows is None else (rows, row_bounds)
-        scale, how = bounded_velocity(wanted, jacobian, state[2 * n :], low, high, speeds, step, g, bounds, velocity)
+        if task is None:
+            scale, how = bounded_velocity(
+                wanted, jacobian, state[2 * n :], low, high, speeds, step, g, bounds, velocity
+            )
+        else:
+            scale, how = bounded_velocity(
+                wanted, task, last, low, high, speeds, step, g, bounds, velocity, own, secondary, weights
+            )
     for j in range(n):
         out[j] = q[j] + dt * velocity[j]
         out[n + j] = velocity[j]

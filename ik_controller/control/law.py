@@ -31,6 +31,7 @@ from ik_controller.control.kernel import (
     tool_is_free,
 )
 from ik_controller.control.reference import Reference
+from ik_controller.control.tasks import TaskStack, is_configured
 from ik_controller.errors import ArgumentError, ParameterError
 from ik_controller.kinematics.damped_inverse import damped_gram_inverse
 from ik_controller.kinematics.inverses import INVERSES, inverse
@@ -78,6 +79,7 @@ class Law:
         self.table[BRAKING, :n] = BRAKING_SHARE * model.acceleration_limit * parameters.acceleration_scale
         self.table[POSTURE, :n] = parameters.posture if parameters.posture else 0.0
         self.table[SEEK_LIMIT, :n] = _POSTURE_SHARE * model.velocity_limit * parameters.velocity_scale
+        self.stack = TaskStack(model, parameters) if is_configured(parameters) else None
         self._model = model
         self._gain = gain
         self._error = ORIENTATION_ERRORS[parameters.orientation_error]
@@ -127,9 +129,14 @@ class Law:
         return self.table[:6, :6].dot(error) if self.in_kernel else observed
 
     def observe(self, reference: Reference, q: Array) -> tuple[Array, Array]:
-        """Return (e (6,), K e (6,)) at q (n,): e = reference ⊖ tool [m, rad]; zeros where the reference has no pose."""
+        """Return (e (6,), K e (6,)) at q (n,): e = reference ⊖ tool [m, rad]; zeros where the reference has no pose.
+
+        With a stack of tasks, e is 0 on free axes and within the tolerances, and K e is left to the kernel.
+        """
         if reference.position is None or reference.rotation is None:
             return np.zeros(6), np.zeros(6)
+        if self.stack is not None:
+            return self.stack.error(reference.position, reference.rotation, q), np.zeros(6)
         tool = self._model.forward(q)
         rotation: Array = tool.rotation
         turn = self._error.function(reference.rotation, rotation)

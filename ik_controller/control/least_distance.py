@@ -144,8 +144,10 @@ def daqp_active_set(rows: Array, lower: Array, upper: Array, tolerance: float, x
     solution, _, flag, _ = daqp.solve(
         np.eye(p), np.zeros(p), rows, upper, lower, np.zeros(k, dtype=np.int32), primal_tol=tolerance
     )
+    if flag != 1:  # it gives up on some that have a solution
+        return active_set(rows, lower, upper, tolerance, x)
     x[:] = solution
-    return bool(flag == 1)
+    return True
 
 
 least_distance = active_set if HAS_NUMBA else daqp_active_set

@@ -93,6 +93,19 @@ def table_of(model: RobotModel) -> Array:
     return table
 
 
+def table_to(model: RobotModel, joints: int, placement: Any) -> Array:
+    """Return the table (joints + 1, 16) of `table_of` that leads over the first `joints` joints to a frame on the last
+    of them, which at q = 0 is at `placement`, a `pin.SE3` in the base frame.
+    """
+    table: Array = table_of(model)[: joints + 1].copy()
+    table[joints] = np.concatenate((np.eye(3).ravel(), np.zeros(7)))
+    rotation, position = np.empty((3, 3)), np.empty(3)
+    chain_pose(table, np.zeros(model.n), rotation, position)
+    table[joints, :9] = (rotation.T @ placement.rotation).ravel()
+    table[joints, 9:12] = rotation.T @ (placement.translation - position)
+    return table
+
+
 @compiled
 def chain_pose(chain: Array, q: Array, rotation: Array, position: Array) -> None:
     """Write the tool's rotation (3, 3) and position (3,) [m] at q (n,); `chain` of `table_of`."""

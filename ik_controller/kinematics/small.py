@@ -109,6 +109,18 @@ def loop_gram(matrix: Array) -> Array:
 
 
 @compiled
+def loop_product(left: Array, right: Array) -> Array:
+    """Return left (m, k) times right (k, n)."""
+    m, n = left.shape[0], right.shape[1]
+    result = np.zeros((m, n))
+    for i in range(m):
+        for k in range(right.shape[0]):
+            for j in range(n):
+                result[i, j] += left[i, k] * right[k, j]
+    return result
+
+
+@compiled
 def inverse_spd(matrix: Array) -> Array:
     """Return the inverse (m, m) of a symmetric positive definite matrix by Cholesky; zeros where it is not definite."""
     m = matrix.shape[0]
@@ -217,5 +229,7 @@ def numpy_gram(matrix: Array) -> Array:
 
 if HAS_NUMBA:
     spectrum, times, transposed_times, gram = jacobi_spectrum, loop_times, loop_transposed_times, loop_gram
+    product = loop_product
 else:
     spectrum, times, transposed_times, gram = eigen_spectrum, np.dot, numpy_transposed_times, numpy_gram  # type: ignore[assignment]
+    product = np.dot  # type: ignore[assignment]

@@ -159,6 +159,17 @@ def _steps() -> list[dict[str, Any]]:
         for _ in range(200):
             ours(), theirs()
         rows.append(_row(name, *_side_by_side(ours, theirs), "textbook NumPy step"))
+    stack = {
+        "task_axes": "xyzrp",
+        "task_frame": "tool",
+        "secondary_tasks": ["z panda_link4"],
+        "secondary_targets": [0.6],
+        "objectives": ["joint_centring"],
+    }
+    ours, plain = stepper(Controller(model, parameters.replace(stack))), stepper(Controller(model, parameters))
+    for _ in range(200):
+        ours(), plain()
+    rows.append(_row("step, priorities", *_side_by_side(ours, plain), "step, limits idle"))
     return rows
 
 
