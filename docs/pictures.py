@@ -6,9 +6,7 @@ One function a picture; the name of the function is the name of the file in docs
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -17,6 +15,7 @@ import pinocchio as pin
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
+from drawing import make
 
 from ik_controller.kinematics.dh import DHJoint, dh_model
 from ik_controller.kinematics.integrate import follow, integrate
@@ -27,7 +26,6 @@ from ik_controller.recording.picture import picture
 from ik_controller.recording.timeline import collect
 from ik_controller.share import bag_folder
 
-IMAGES = Path(__file__).parent / "images"
 HALF = math.pi / 2
 PLANAR_2R = dh_model([DHJoint(a=1.0), DHJoint(a=1.0)], "classic")
 PUMA = dh_model(
@@ -162,19 +160,5 @@ def demo() -> Any:
     )
 
 
-PICTURES = {function.__name__: function for function in (drift, decay, singularity, orientation_errors, demo)}
-
-
-def main(names: list[str]) -> None:
-    """Make the named pictures, or all."""
-    IMAGES.mkdir(exist_ok=True)
-    for name in names or PICTURES:
-        figure = PICTURES[name]()
-        # Without the date and version a picture is the same file when made again.
-        figure.savefig(IMAGES / f"{name}.png", dpi=110, metadata={"Software": None})
-        plt.close(figure)
-        print(IMAGES / f"{name}.png")
-
-
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    make(drift, decay, singularity, orientation_errors, demo)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -12,13 +11,13 @@ import pinocchio as pin
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
+from drawing import make
 
 from ik_controller.control.simulated_arm import SimulatedArm
 from ik_controller.messages import cdr
 from ik_controller.robots import build_model, bundled_parameters
 from ik_controller.session import Session
 
-IMAGES = Path(__file__).parent / "images"
 RATE = 500.0
 START = 1_790_000_000_000_000_000
 BASES = {"commanded": "C0", "measured": "C3", "bounded": "C2"}
@@ -89,4 +88,4 @@ def integration_base() -> Any:
 
 
 if __name__ == "__main__":
-    integration_base().savefig(IMAGES / "integration_base.png", dpi=110, metadata={"Software": None})
+    make(integration_base)

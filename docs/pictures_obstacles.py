@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -11,6 +10,7 @@ import pinocchio as pin
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
+from drawing import make
 from matplotlib.patches import Rectangle
 
 from ik_controller import Controller, Reference
@@ -20,7 +20,6 @@ from ik_controller.kinematics.collision import joint_frames, place_capsules
 from ik_controller.kinematics.collision_world import box
 from ik_controller.robots import build_model, bundled_parameters
 
-IMAGES = Path(__file__).parent / "images"
 DT = 1e-3
 SIZE = np.array([0.16, 0.3, 0.16])
 
@@ -94,4 +93,4 @@ def draw_capsule(ax: Any, a: np.ndarray, b: np.ndarray, radius: float, alpha: fl
 
 
 if __name__ == "__main__":
-    obstacles().savefig(IMAGES / "obstacles.png", dpi=110)
+    make(obstacles)

@@ -6,8 +6,6 @@ One function a picture; the name of the function is the name of the file in docs
 from __future__ import annotations
 
 import math
-import sys
-from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -15,13 +13,13 @@ import numpy as np
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
+from drawing import make
 
 from ik_controller.kinematics.closed_form import recognise
 from ik_controller.kinematics.dh import DHJoint, dh_model
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.kinematics.solve import solve_ik
 
-IMAGES = Path(__file__).parent / "images"
 HALF = math.pi / 2
 PLANAR_2R = dh_model([DHJoint(a=1.0), DHJoint(a=1.0)], "classic")
 PUMA = dh_model(
@@ -146,10 +144,5 @@ def frame(ax: Any, pose: Any, size: float) -> None:
         ax.plot(*np.array([pose.translation, tip]).T, color=color, linewidth=1.5)
 
 
-PICTURES = {function.__name__: function for function in (solving_2r, puma_solutions, swivel)}
-
 if __name__ == "__main__":
-    IMAGES.mkdir(exist_ok=True)
-    for name in sys.argv[1:] or PICTURES:
-        PICTURES[name]().savefig(IMAGES / f"{name}.png", dpi=110)
-        print(IMAGES / f"{name}.png")
+    make(solving_2r, puma_solutions, swivel)

@@ -6,8 +6,6 @@ One function a picture; the name of the function is the name of the file in docs
 from __future__ import annotations
 
 import math
-import sys
-from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -16,11 +14,11 @@ import pinocchio as pin
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
+from drawing import make
 
 from ik_controller import Controller, Reference
 from ik_controller.robots import build_model, bundled_parameters
 
-IMAGES = Path(__file__).parent / "images"
 DT = 0.004
 PERIOD = 4.0  # of one round [s]
 ROUNDS = 5
@@ -74,19 +72,5 @@ def centring() -> Any:
     return figure
 
 
-PICTURES = {function.__name__: function for function in (centring,)}
-
-
-def main(names: list[str]) -> None:
-    """Make the named pictures, or all."""
-    IMAGES.mkdir(exist_ok=True)
-    for name in names or PICTURES:
-        figure = PICTURES[name]()
-        # Without the date and version a picture is the same file when made again.
-        figure.savefig(IMAGES / f"{name}.png", dpi=110, metadata={"Software": None})
-        plt.close(figure)
-        print(IMAGES / f"{name}.png")
-
-
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    make(centring)

@@ -6,9 +6,7 @@ Each runs the real session on a simulated arm, with targets as a camera or a pla
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
@@ -17,13 +15,13 @@ import pinocchio as pin
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
+from drawing import make
 
 from ik_controller.control.simulated_arm import SimulatedArm
 from ik_controller.messages import cdr
 from ik_controller.robots import build_model, bundled_parameters
 from ik_controller.session import Session
 
-IMAGES = Path(__file__).parent / "images"
 PANDA = bundled_parameters("panda")
 MODEL = build_model(PANDA)
 HOME = np.array(PANDA.posture)
@@ -93,9 +91,17 @@ def error(times: Array, tools: Array) -> Array:
     return tools[:, 1] - truth
 
 
+def _axes() -> tuple[Any, Any]:
+    figure, axes = plt.subplots(2, 1, figsize=(8.0, 5.0), layout="constrained", sharex=True)
+    for ax in axes:
+        ax.grid(color="0.9")
+        ax.spines[["top", "right"]].set_visible(False)
+    return figure, axes
+
+
 def tuning_gain() -> Any:
     """Draw a 100 Hz stream of poses without twists, by three gains: the tool trails by v/K."""
-    figure, axes = plt.subplots(2, 1, figsize=(8.0, 5.0), layout="constrained", sharex=True)
+    figure, axes = _axes()
     for gain, color in ((5.0, "C3"), (20.0, "C1"), (100.0, "C2")):
         times, tools, _ = run(poses(), 0.01, 5.0, gain=[gain])
         axes[0].plot(times, 1e3 * (tools[:, 1] - tools[0, 1]), color, label=f"K = {gain:g}/s")
@@ -111,7 +117,7 @@ def tuning_gain() -> Any:
 
 def tuning_noise() -> Any:
     """Draw a noisy 30 Hz stream, as of a camera: what the gain and the mode make of it."""
-    figure, axes = plt.subplots(2, 1, figsize=(8.0, 5.0), layout="constrained", sharex=True)
+    figure, axes = _axes()
     cases: tuple[tuple[str, str, dict[str, Any]], ...] = (
         ("K = 100/s", "C3", {"gain": [100.0]}),
         ("K = 10/s", "C1", {"gain": [10.0]}),
@@ -127,19 +133,5 @@ def tuning_noise() -> Any:
     return figure
 
 
-PICTURES = {function.__name__: function for function in (tuning_gain, tuning_noise)}
-
-
-def main(names: list[str]) -> None:
-    """Draw the named pictures, all unless some are named."""
-    for name in names or PICTURES:
-        figure = PICTURES[name]()
-        for axes in figure.axes:
-            axes.grid(color="0.9")
-            axes.spines[["top", "right"]].set_visible(False)
-        figure.savefig(IMAGES / f"{name}.png", dpi=100)
-        plt.close(figure)
-
-
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    make(tuning_gain, tuning_noise)

@@ -46,16 +46,21 @@ def values_in(path: str | Path, node: str | None = None) -> dict[str, Any]:
     return values
 
 
-def _load(path: str | Path) -> dict[str, Any]:
+def read_yaml(path: str | Path, what: str) -> Any:
+    """Return what a YAML file holds. Raises ParameterError naming it as `what`: missing, not text, not YAML."""
     import yaml
 
     try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not text"
-        raise ParameterError(f"parameter file '{path}' cannot be read: {reason}") from None
+        raise ParameterError(f"{what} '{path}' cannot be read: {reason}") from None
     except yaml.YAMLError as error:
-        raise ParameterError(f"parameter file '{path}' is not YAML: {' '.join(str(error).split())}") from None
+        raise ParameterError(f"{what} '{path}' is not YAML: {' '.join(str(error).split())}") from None
+
+
+def _load(path: str | Path) -> dict[str, Any]:
+    content = read_yaml(path, "parameter file")
     if not isinstance(content, dict):
         raise ParameterError(f"parameter file '{path}' holds no parameters")
     return content

@@ -40,6 +40,10 @@ def twist(values: Sequence[float], frame: str, stamp: int = 0) -> bytes:
     return cdr.encode(cdr.message(cdr.TWIST, cdr.header(stamp, frame), _twist(values)))
 
 
+def _duration(seconds: float) -> Any:
+    return cdr.message("builtin_interfaces/msg/Duration", *divmod(round(seconds * 1e9), 10**9))
+
+
 def trajectory(
     points: Sequence[tuple[float, Sequence[Sequence[float]], Sequence[Sequence[float]]]],
     frame: str,
@@ -49,14 +53,13 @@ def trajectory(
     """A MultiDOFJointTrajectory of (time from start [s], transforms, velocities)."""
     made = []
     for time, transforms, velocities in points:
-        seconds, nanoseconds = divmod(round(time * 1e9), 10**9)
         made.append(
             cdr.message(
                 "trajectory_msgs/msg/MultiDOFJointTrajectoryPoint",
                 [cdr.message("geometry_msgs/msg/Transform", _vector(t[:3]), _quaternion(t[3:])) for t in transforms],
                 [_twist(v) for v in velocities],
                 [],
-                cdr.message("builtin_interfaces/msg/Duration", seconds, nanoseconds),
+                _duration(time),
             )
         )
     return cdr.encode(cdr.message(cdr.TRAJECTORY, cdr.header(stamp, frame), list(names), made))
@@ -74,12 +77,11 @@ def joint_trajectory(
     """A JointTrajectory of (time from start [s], positions, velocities)."""
     made = []
     for time, positions, velocities in points:
-        seconds, nanoseconds = divmod(round(time * 1e9), 10**9)
         made.append(
             cdr.message(
                 "trajectory_msgs/msg/JointTrajectoryPoint",
                 *[np.array(values, dtype=float) for values in (positions, velocities, (), ())],
-                cdr.message("builtin_interfaces/msg/Duration", seconds, nanoseconds),
+                _duration(time),
             )
         )
     return cdr.encode(cdr.message(cdr.JOINT_TRAJECTORY, cdr.header(stamp, ""), list(names), made))

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from ik_controller.control.least_distance import least_distance
 from ik_controller.kinematics.accelerate import compiled
-from ik_controller.kinematics.small import DEPENDENT, reflect_rows, turn_back
+from ik_controller.kinematics.small import DEPENDENT, inverse_factor, reflect_rows, turn_back
 
 Array = NDArray[np.float64]
 
@@ -252,22 +252,13 @@ def _closest(
     With L Lᵀ = D⁻¹JᵀJ D⁻¹ + c I and y = s aim + L⁻ᵀx this is the shortest (x, √ρ violations).
     """
     n, m, k = aim.shape[0], jacobian.shape[0], row_bounds.shape[0]
-    factor = np.zeros((n, n))  # L, then L⁻¹
+    pull = np.zeros((n, n))
     for j in range(n):
         for i in range(j, n):
-            total = _CLOSEST_WEIGHT if i == j else 0.0
+            pull[i, j] = _CLOSEST_WEIGHT if i == j else 0.0
             for row in range(m):
-                total += jacobian[row, i] * limit[i] * jacobian[row, j] * limit[j]
-            for column in range(j):
-                total -= factor[i, column] * factor[j, column]
-            factor[i, j] = math.sqrt(total) if i == j else total / factor[j, j]
-    for j in range(n):
-        factor[j, j] = 1.0 / factor[j, j]
-        for i in range(j + 1, n):
-            total = 0.0
-            for column in range(j, i):
-                total -= factor[i, column] * factor[column, j]
-            factor[i, j] = total / factor[i, i]
+                pull[i, j] += jacobian[row, i] * limit[i] * jacobian[row, j] * limit[j]
+    _, factor = inverse_factor(pull)  # L⁻¹
     c, lower, upper, x = np.zeros((n + k, n + k)), np.empty(n + k), np.empty(n + k), np.zeros(n + k)
     for j in range(n):
         for column in range(j, n):

@@ -49,7 +49,7 @@ POSTURE = 8
 SEEK_LIMIT = 9  # at most so fast towards the posture
 
 # Why a velocity was not reached: codes of `status.Limit` in its order.
-FREE, BY_VELOCITY, BY_ACCELERATION, BY_POSITION, BY_JERK, BY_TOOL_SPEED, BY_TOOL_ACCELERATION, BY_ROW = range(8)
+FREE, BY_VELOCITY, BY_ACCELERATION, BY_POSITION, BY_JERK, BY_TOOL_SPEED, BY_TOOL_ACCELERATION = range(7)
 # How the velocity was found: 0 to 2 as in `bounded`, with s = 1 where no limit was met.
 NOT_FINITE = -1
 
@@ -275,22 +275,20 @@ def tool_cycle(
     reserve: bool,
     dt: float,
     out: Array,
-    rows: Any = None,
-    row_bounds: Any = None,
 ) -> tuple[int, float, int, int, float]:
     """Write one cycle towards a tool reference to `out` and return (how, s, joint, limit, σ_min).
 
     `state` (2n + 6,): q, v and the tool's velocity of the last cycle; `out` (2n + 12,): the same after this cycle, and
     the error e. Where `measure`, e and K e are worked out against `position` (3,) and `rotation` (3, 3), else K e is
-    `feedback` (6,). `at` (n,): where e and J are taken; `twist` ẋ_d (6,). `rows` G (k, n) and `row_bounds` g (k,) add
-    G q̇ ≤ g. Few arrays, because Numba takes 0.1 µs or more to take in each.
+    `feedback` (6,). `at` (n,): where e and J are taken; `twist` ẋ_d (6,). Few arrays, because Numba takes 0.1 µs or
+    more to take in each.
     """
     n = at.shape[0]
     jacobian, wanted = np.empty((6, n)), np.empty(n)
     sigma, slower, by_tool = tool_velocity(
         chain, law, state, at, position, rotation, twist, feedback, measure, dt, out[2 * n + 6 :], jacobian, wanted
     )
-    how, scale, joint, limit = bounded_cycle(wanted, jacobian, limits, state, reserve, dt, out, rows, row_bounds)
+    how, scale, joint, limit = bounded_cycle(wanted, jacobian, limits, state, reserve, dt, out)
     return how, slower * scale, joint, by_tool if limit == FREE else limit, sigma
 
 
@@ -348,8 +346,6 @@ def bounded_cycle(
     reserve: bool,
     dt: float,
     out: Array,
-    rows: Any = None,
-    row_bounds: Any = None,
     task: Any = None,
     last: Any = None,
     own: Any = None,
@@ -366,12 +362,8 @@ def bounded_cycle(
     how, scale, joint, limit = 0, 1.0, -1, FREE
     reach = np.empty(2 * n)
     velocity_interval(q, v, dt, limits, reserve, reach)
-    fits = within(wanted, reach)
-    if rows is not None:
-        joint, limit = row_beyond(wanted, rows, row_bounds)
-        fits = fits and joint < 0
     velocity = wanted
-    if not fits:
+    if not within(wanted, reach):
         excess, speeds = 0.0, np.empty(n)
         for j in range(n):
             if not math.isfinite(wanted[j]):
@@ -386,14 +378,14 @@ def bounded_cycle(
         for j in range(n):
             step[j] = limits[ACCELERATION, j] * dt
         low, high = -reach[n:], reach[:n]
-        g, bounds = (np.empty((0, n)), np.empty(0)) if rows is None else (rows, row_bounds)
+        rows, bounds = np.empty((0, n)), np.empty(0)  # obstacles have a problem of their own
         if task is None:
             scale, how = bounded_velocity(
-                wanted, jacobian, state[2 * n :], low, high, speeds, step, g, bounds, velocity
+                wanted, jacobian, state[2 * n :], low, high, speeds, step, rows, bounds, velocity
             )
         else:
             scale, how = bounded_velocity(
-                wanted, task, last, low, high, speeds, step, g, bounds, velocity, own, secondary, weights
+                wanted, task, last, low, high, speeds, step, rows, bounds, velocity, own, secondary, weights
             )
     for j in range(n):
         out[j] = q[j] + dt * velocity[j]
@@ -404,19 +396,6 @@ def bounded_cycle(
             total += jacobian[i, j] * velocity[j]
         out[2 * n + i] = total
     return how, scale, joint, limit
-
-
-@compiled
-def row_beyond(wanted: Array, rows: Array, bounds: Array) -> tuple[int, int]:
-    """Return (row, BY_ROW) of G q̇ ≤ g that `wanted` (n,) oversteps by most, (−1, FREE) where it keeps all."""
-    worst, found = 0.0, -1
-    for i in range(bounds.shape[0]):
-        over = -bounds[i]
-        for j in range(wanted.shape[0]):
-            over += rows[i, j] * wanted[j]
-        if over > worst:
-            worst, found = over, i
-    return found, FREE if found < 0 else BY_ROW
 
 
 @compiled

@@ -206,8 +206,6 @@ def stack_cycle(
     levels: Array,
     chains: Array,
     objectives: Array,
-    rows: Any = None,
-    row_bounds: Any = None,
 ) -> tuple[int, float, int, int, float]:
     """Write one cycle of the stack to `out` and return (how, s, joint, limit, σ_min), as `kernel.tool_cycle` does.
 
@@ -307,9 +305,8 @@ def stack_cycle(
         weights[int(starts[i]) : int(starts[i + 1])] = weight
         weight = max(_NEXT_WEIGHT * weight, 1.0)
     how, scale, joint, limit = bounded_cycle(
-        wanted, jacobian, limits, state, reserve, dt, out, rows, row_bounds,
-        jacobian_1, last, own, secondary[:total], weights,
-    )  # fmt: skip
+        wanted, jacobian, limits, state, reserve, dt, out, jacobian_1, last, own, secondary[:total], weights
+    )
     return how, slower * scale, joint, by_tool if limit == FREE else limit, sigma
 
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from ik_controller.errors import ModelError, ParameterError, choices
 from ik_controller.kinematics.collision_distance import BOX, CAPSULE, CYLINDER, HALF_SPACE
 from ik_controller.kinematics.model import pose_from
+from ik_controller.parameter_file import read_yaml
 
 Array = NDArray[np.float64]
 
@@ -146,15 +147,7 @@ def read_world(path: str | Path, placement: Callable[[str], Any]) -> World:
 
     Raises ParameterError naming the file, the obstacle and what is legal; ModelError of `placement`.
     """
-    import yaml
-
-    try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not text"
-        raise ParameterError(f"obstacle file '{path}' cannot be read: {reason}") from None
-    except yaml.YAMLError as error:
-        raise ParameterError(f"obstacle file '{path}' is not YAML: {' '.join(str(error).split())}") from None
+    content = read_yaml(path, "obstacle file")
     entries = content.get("obstacles") if isinstance(content, dict) else None
     if not isinstance(entries, dict):
         raise ParameterError(f"obstacle file '{path}': need a mapping 'obstacles' of names and shapes")

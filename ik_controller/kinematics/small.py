@@ -121,17 +121,18 @@ def loop_product(left: Array, right: Array) -> Array:
 
 
 @compiled
-def inverse_spd(matrix: Array) -> Array:
-    """Return the inverse (m, m) of a symmetric positive definite matrix by Cholesky; zeros where it is not definite."""
+def inverse_factor(matrix: Array) -> tuple[bool, Array]:
+    """Return (is M (m, m) positive definite, L⁻¹ of its Cholesky factor M = L Lᵀ); where it is not, the second is
+    unfinished.
+    """
     m = matrix.shape[0]
-    low = np.zeros((m, m))  # L⁻¹ after the second loop
-    result = np.zeros((m, m))
+    low = np.zeros((m, m))  # L, then L⁻¹
     for j in range(m):
         total = matrix[j, j]
         for k in range(j):
             total -= low[j, k] * low[j, k]
         if not total > 1e-14 * matrix[j, j]:
-            return result
+            return False, low
         low[j, j] = math.sqrt(total)
         for i in range(j + 1, m):
             total = matrix[i, j]
@@ -145,6 +146,17 @@ def inverse_spd(matrix: Array) -> Array:
             for k in range(j, i):
                 total -= low[i, k] * low[k, j]
             low[i, j] = total / low[i, i]
+    return True, low
+
+
+@compiled
+def inverse_spd(matrix: Array) -> Array:
+    """Return the inverse (m, m) of a symmetric positive definite matrix by Cholesky; zeros where it is not definite."""
+    m = matrix.shape[0]
+    result = np.zeros((m, m))
+    definite, low = inverse_factor(matrix)
+    if not definite:
+        return result
     for i in range(m):
         for j in range(i + 1):
             total = 0.0

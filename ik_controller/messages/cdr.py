@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 import struct
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -128,6 +129,17 @@ def _layout(data: bytes) -> tuple[int, int]:
     return at, at + (4 - at) % 8  # numbers are aligned to 8 counted from behind the 4-byte CDR header
 
 
+def joint_order(wanted: Sequence[str], names: list[str]) -> list[int]:
+    """Return where each wanted joint is among a message's `names`. Raises MessageError: missing or named twice."""
+    missing = [name for name in wanted if name not in names]
+    if missing:
+        raise MessageError(f"joint(s) missing: {choices(missing)}; the message has: {choices(names)}")
+    doubled = sorted({name for name in wanted if names.count(name) > 1})
+    if doubled:
+        raise MessageError(f"joint(s) named twice: {choices(doubled)}")
+    return [names.index(name) for name in wanted]
+
+
 class StampedReader:
     """Reads stamp, frame and the numbers behind them of PoseStamped or TwistStamped messages."""
 
@@ -214,12 +226,7 @@ class JointStateReader:
         names, count = content.name, len(content.name)
         if not set(self._names) & set(names):
             return False
-        missing = [name for name in self._names if name not in names]
-        if missing:
-            raise MessageError(f"joint(s) missing: {choices(missing)}; the message has: {choices(names)}")
-        doubled = sorted({name for name in self._names if names.count(name) > 1})
-        if doubled:
-            raise MessageError(f"joint(s) named twice: {choices(doubled)}")
+        order = joint_order(self._names, names)
         for field in ("position", "velocity", "effort"):
             length = len(getattr(content, field))
             if length != count and (length or field == "position"):
@@ -228,7 +235,7 @@ class JointStateReader:
             raise MessageError("big-endian JointState messages are not supported")
         end, self._at = _layout(data)
         in_order = tuple(names) == self._names
-        self._order = None if in_order else np.array([names.index(name) for name in self._names], dtype=np.intp)
+        self._order = None if in_order else np.array(order, dtype=np.intp)
         self._count = count
         behind = self._at + 8 * count  # the count of velocities, their numbers, the count of efforts
         efforts = behind + 4

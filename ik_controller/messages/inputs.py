@@ -154,7 +154,7 @@ class Inputs:
 
     def _target_joint_trajectory(self, data: bytes, arrival: int, q: Array | None, v: Array) -> None:
         content = cdr.decode(cdr.JOINT_TRAJECTORY, data)
-        order = self._order(list(content.joint_names))
+        order = cdr.joint_order(self._names, list(content.joint_names))
         start, times = self._schedule(content, arrival)
         positions, velocities = np.empty((2, len(times), len(order)))
         for index, point in enumerate(content.points):
@@ -200,16 +200,6 @@ class Inputs:
     def _splice(self, start: int) -> int | None:
         """Return until when the trajectory that is followed goes on, None where it does not."""
         return start if self._append and self._targets.trajectory_end() is not None else None
-
-    def _order(self, names: list[str]) -> list[int]:
-        """Return where our joints are among `names`."""
-        missing = [name for name in self._names if name not in names]
-        if missing:
-            raise MessageError(f"joint(s) missing: {choices(missing)}; the message has: {choices(names)}")
-        doubled = sorted({name for name in self._names if names.count(name) > 1})
-        if doubled:
-            raise MessageError(f"joint(s) named twice: {choices(doubled)}")
-        return [names.index(name) for name in self._names]
 
     def _target_joints(self, data: bytes, arrival: int, q: Array | None, v: Array) -> None:
         content = cdr.decode(cdr.JOINT_STATE, data)

@@ -171,12 +171,6 @@ class Page:
                     self._gizmo.position = self._tool.translation
                     self._gizmo.wxyz = _wxyz(self._tool.rotation)
 
-    def hide_commanded(self) -> None:
-        """Take the commanded arm away: nobody commands."""
-        with self._lock:
-            for frame in self._joints.get("commanded", {}).values():
-                frame.visible = False
-
     def _leave_trail(self, point: Array) -> None:
         if self._trail and np.linalg.norm(point - self._trail[-1]) < 2e-3:
             return

@@ -14,8 +14,10 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -270,6 +272,24 @@ class Rig:
             found = time.monotonic()
             self.until(lambda: time.monotonic() > found + 0.5)
         return self._publishers[role]
+
+    @contextmanager
+    def sending(self, role: str, message: Any) -> Iterator[None]:
+        """Send a message a hundred times a second until the block ends."""
+        publisher = self.publisher(role)
+        ended = threading.Event()
+
+        def send() -> None:
+            while not ended.wait(0.01):
+                publisher.publish(message)
+
+        sender = threading.Thread(target=send)
+        sender.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            sender.join()
 
     def call(self, service: str, data: bool | None = None) -> Any:
         """Call one of the node's services and return the response."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,24 +23,12 @@ TURNS = itertools.cycle((1.0, -1.0))
 @contextmanager
 def moving(rig: Rig) -> Iterator[None]:
     """Keep the tool moving by a twist alone, up one time and down the next, until the block ends; then at rest."""
-    publisher = rig.publisher("target_twist")
     message = TwistStamped()
     message.header.frame_id = "panda_link0"
     message.twist.linear.z = 0.1 * next(TURNS)
-    ended = threading.Event()
-
-    def send() -> None:
-        while not ended.wait(0.01):
-            publisher.publish(message)
-
-    sender = threading.Thread(target=send)
-    sender.start()
-    try:
+    with rig.sending("target_twist", message):
         rig.until_new("joint_commands", lambda c: np.abs(c.velocity).max() > 0.05, "the arm to move")
         yield
-    finally:
-        ended.set()
-        sender.join()
     rig.until_status("holding")
 
 

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import resource
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any
 
 import numpy as np
 import pytest
@@ -26,25 +23,6 @@ def test_every_code_and_limit_has_a_reason() -> None:
     keys = {*reasons._CODES.values(), *reasons._LIMITS.values()}
     assert keys <= set(reasons.REASONS)
     assert len(keys) == len(Code) + len(Limit) - 1
-
-
-@contextmanager
-def sending(rig: Rig, role: str, message: Any) -> Iterator[None]:
-    """Send a message a hundred times a second until the block ends."""
-    publisher = rig.publisher(role)
-    ended = threading.Event()
-
-    def send() -> None:
-        while not ended.wait(0.01):
-            publisher.publish(message)
-
-    sender = threading.Thread(target=send)
-    sender.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        sender.join()
 
 
 def seen(rig: Rig, reason: str) -> DiagnosticStatus:
@@ -69,7 +47,7 @@ def twist(x: float = 0.0, z: float = 0.0) -> TwistStamped:
 @pytest.fixture
 def home(live: Rig) -> Iterator[Rig]:
     """The arm at home and at rest; parameters as they were afterwards."""
-    with sending(live, "target_joints", joints(*HOME)):
+    with live.sending("target_joints", joints(*HOME)):
         live.until_new("joint_commands", lambda c: np.abs(np.array(c.position) - HOME).max() < 1e-3, "the arm at home")
     live.until_status("holding")
     yield live
@@ -78,13 +56,13 @@ def home(live: Rig) -> Iterator[Rig]:
 
 def test_tracking_velocity_limit_stopping_and_holding(home: Rig) -> None:
     assert home.set_parameters(velocity_scale=0.02).successful
-    with sending(home, "target_joints", joints(0.5, *HOME[1:])):
+    with home.sending("target_joints", joints(0.5, *HOME[1:])):
         status = seen(home, "velocity limit")
         assert values_of(status)["joint"] == "panda_joint1"
         assert "panda_joint1" in status.message
         seen(home, "tracking")
     assert home.set_parameters(velocity_scale=1.0, acceleration_scale=0.02).successful
-    with sending(home, "target_twist", twist(z=0.2)):
+    with home.sending("target_twist", twist(z=0.2)):
         seen(home, "acceleration limit")
         seen(home, "tracking")
     seen(home, "stopping")
@@ -93,19 +71,19 @@ def test_tracking_velocity_limit_stopping_and_holding(home: Rig) -> None:
 
 
 def test_position_limit(home: Rig) -> None:
-    with sending(home, "target_joints", joints(3.5, *HOME[1:])):
+    with home.sending("target_joints", joints(3.5, *HOME[1:])):
         assert values_of(seen(home, "position limit"))["joint"] == "panda_joint1"
 
 
 def test_singular(home: Rig) -> None:
-    with sending(home, "target_twist", twist(x=0.3)):
+    with home.sending("target_twist", twist(x=0.3)):
         assert "singularity" in seen(home, "singular").message
 
 
 def test_rejected_is_said_while_it_is_new(home: Rig) -> None:
     pose = PoseStamped()
     pose.header.frame_id = "map"
-    with sending(home, "target_pose", pose):
+    with home.sending("target_pose", pose):
         status = seen(home, "rejected")
         assert "holding: no live target" in status.message
         assert "target_pose: frame_id 'map'" in status.message
