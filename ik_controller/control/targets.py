@@ -16,8 +16,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ik_controller.control.extrapolation import agreed_rate, carry_on
 from ik_controller.control.joint_path import JointPath
-from ik_controller.control.kernel import agreed_rate, carry_on
 from ik_controller.control.reference import Reference
 from ik_controller.control.segment import Segment
 from ik_controller.parameters import ControllerParameters

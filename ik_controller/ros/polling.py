@@ -54,3 +54,10 @@ class PolledSubscription:
         with self._handle:
             taken = self._handle.take_message(self._type, True)
         return None if taken is None else taken[0]
+
+    def latest(self) -> bytes | None:
+        """Return the newest message not yet taken, and drop those before it."""
+        newest = None
+        while (data := self.take()) is not None:
+            newest = data
+        return newest

@@ -119,7 +119,8 @@ class Teleop:
     def listen(self) -> None:
         """Take in the node's status."""
         rclpy.spin_once(self.node, timeout_sec=0.0)
-        while (data := self._status.take()) is not None:
+        data = self._status.latest()
+        if data is not None:
             self.message = str(cdr.decode("diagnostic_msgs/msg/DiagnosticStatus", data).message)
 
     def line(self) -> str:

@@ -135,7 +135,7 @@ class Viewer:
     # -- what the arm does
 
     def _look(self, now: float, seconds: float, redraw: bool) -> None:
-        status = self._latest("status")
+        status = self._inputs["status"].latest()
         if status is not None:
             if now - self._heard > _SILENT:  # new, or come back: it may be another arm now
                 self._asked = None
@@ -150,7 +150,7 @@ class Viewer:
             return
         self._look_at_obstacles()
         for kind in ("measured", "commanded"):
-            data = self._latest(kind)
+            data = self._inputs[kind].latest()
             if data is None:
                 continue
             try:
@@ -163,7 +163,7 @@ class Viewer:
                     self._q = q.copy()
                     velocity = np.array(cdr.decode(cdr.JOINT_STATE, data).velocity)
                     self._speed = float(np.max(np.abs(velocity) / self._model.velocity_limit))
-        data = self._latest("error")
+        data = self._inputs["error"].latest()
         if data is not None:
             twist = cdr.decode(cdr.TWIST, data).twist
             v, w = twist.linear, twist.angular
@@ -180,12 +180,6 @@ class Viewer:
                     changed = True
         if changed:
             self.page.show_obstacles(self._world)
-
-    def _latest(self, name: str) -> bytes | None:
-        latest = None
-        while (data := self._inputs[name].take()) is not None:
-            latest = data
-        return latest
 
     def _tell(self, status: Any) -> None:
         values = {pair.key: pair.value for pair in status.values}
