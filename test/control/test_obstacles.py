@@ -14,7 +14,8 @@ from ik_controller import Controller, Reference
 from ik_controller.control.obstacles import Scene
 from ik_controller.control.status import Limit
 from ik_controller.errors import IkControllerError, ParameterError
-from ik_controller.kinematics.collision import pair_distances
+from ik_controller.kinematics.chain import chain_of
+from ik_controller.kinematics.collision import joint_frames, pair_distances, place_capsules
 from ik_controller.kinematics.collision_world import World, box, capsule, cylinder, half_space, sphere
 from ik_controller.messages.cdr import JointStateWriter
 from ik_controller.session import Session
@@ -24,41 +25,51 @@ TOLERANCE = 1e-4  # [m] that the issue allows below the minimum distance
 WATCHED = {"self_collision": True, "obstacle_avoidance": True}
 
 
+class Measured:
+    """The least distance [m] between an arm's moving capsules and a world that stands still, by Coal."""
+
+    def __init__(self, model, arm, world) -> None:
+        self.coal = coal = pytest.importorskip("coal")
+        self.arm, self.chain = arm, tuple(chain_of(model))
+        self.moving = np.flatnonzero(arm.joint >= 0)
+        lengths = np.linalg.norm(arm.ends[:, 1] - arm.ends[:, 0], axis=1)
+        self.half = 0.5 * lengths + arm.radius
+        self.bodies = [coal.Capsule(r, max(length, 1e-9)) for r, length in zip(arm.radius, lengths, strict=True)]
+        kind, size, turn, center, bound = world.arrays()
+        make = (
+            lambda s: coal.Capsule(s[1], max(2 * s[0], 1e-9)),
+            lambda s: coal.Box(*(2 * s)),
+            lambda s: coal.Cylinder(s[1], 2 * s[0]),
+            lambda s: coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0),
+        )
+        self.solids = [
+            (make[k](s), coal.Transform3s(r, c), c, b)
+            for k, s, r, c, b in zip(kind, size, turn, center, bound, strict=True)
+        ]
+
+    def __call__(self, q) -> float:
+        coal, arm, m, placed = self.coal, self.arm, len(self.chain[3]), np.empty(self.arm.ends.shape)
+        rotation, position = np.empty((m, 3, 3)), np.empty((m, 3))
+        joint_frames(self.chain, q, rotation, position, np.empty((m, 3)))
+        place_capsules(arm.joint, arm.ends, rotation, position, placed)
+        middles, least = 0.5 * (placed[:, 0] + placed[:, 1]), np.inf
+        for solid, pose, center, bound in self.solids:
+            away = np.sqrt(((middles - center) ** 2).sum(axis=1)) - bound - self.half
+            for k in self.moving[np.argsort(away[self.moving])]:
+                if away[k] > least:
+                    break
+                axis = placed[k, 1] - placed[k, 0]
+                axis = axis if axis.any() else np.array([0.0, 0.0, 1.0])
+                turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).toRotationMatrix()
+                at = coal.Transform3s(turn, middles[k])
+                request, result = coal.DistanceRequest(), coal.DistanceResult()
+                least = min(least, coal.distance(self.bodies[k], at, solid, pose, request, result))
+        return least
+
+
 def world_distance(model, arm, world, q) -> float:
     """Return the least distance [m] between the moving capsules and the world, by Coal."""
-    coal = pytest.importorskip("coal")
-    from ik_controller.kinematics.chain import chain_of
-    from ik_controller.kinematics.collision import joint_frames, place_capsules
-
-    chain = tuple(chain_of(model))
-    m, placed = len(chain[3]), np.empty(arm.ends.shape)
-    rotation, position = np.empty((m, 3, 3)), np.empty((m, 3))
-    joint_frames(chain, q, rotation, position, np.empty((m, 3)))
-    place_capsules(arm.joint, arm.ends, rotation, position, placed)
-    least = np.inf
-    for solid, pose in zip(*coal_solids(world), strict=True):
-        for k in np.flatnonzero(arm.joint >= 0):
-            axis = placed[k, 1] - placed[k, 0]
-            length = float(np.linalg.norm(axis))
-            turn = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis if length > 1e-9 else np.eye(3)[2])
-            at = coal.Transform3s(turn.toRotationMatrix(), placed[k].mean(axis=0))
-            body = coal.Capsule(arm.radius[k], max(length, 1e-9))
-            least = min(least, coal.distance(body, at, solid, pose, coal.DistanceRequest(), coal.DistanceResult()))
-    return least
-
-
-def coal_solids(world: World):
-    import coal
-
-    make = (
-        lambda s: coal.Capsule(s[1], max(2 * s[0], 1e-9)),
-        lambda s: coal.Box(*(2 * s)),
-        lambda s: coal.Cylinder(s[1], 2 * s[0]),
-        lambda s: coal.Halfspace(np.array([0.0, 0.0, 1.0]), 0.0),
-    )
-    kind, size, turn, center, _ = world.arrays()
-    solids = [make[k](s) for k, s in zip(kind, size, strict=True)]
-    return solids, [coal.Transform3s(r, c) for r, c in zip(turn, center, strict=True)]
+    return Measured(model, arm, world)(q)
 
 
 def in_the_way(kind: int, random: np.random.Generator, pose: pin.SE3):
@@ -106,6 +117,7 @@ def approach(robot, seed: int, cycles: int):
         reference = Reference.pose(pin.SE3(tool.rotation, tool.translation + way))
     controller = Controller(model, parameters, scene)
     controller.reset(q)
+    measure = Measured(model, arm, scene.world)
     least, before, path = [np.inf, np.inf], controller.velocity, [q]
     for k in range(8 * cycles + 4000):
         if k < cycles:
@@ -121,7 +133,7 @@ def approach(robot, seed: int, cycles: int):
         before = step.velocity
         least[0] = min(least[0], pair_distances(model, arm, arm.pairs, step.position).min())
         if len(scene.world) and k % 5 == 0:
-            least[1] = min(least[1], world_distance(model, arm, scene.world, step.position))
+            least[1] = min(least[1], measure(step.position))
     assert not controller.fault
     assert least[0] >= parameters.self_minimum_distance - TOLERANCE
     assert least[1] >= parameters.minimum_distance - TOLERANCE
