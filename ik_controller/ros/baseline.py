@@ -1,10 +1,15 @@
-"""What the node is measured against: a bare polled relay of the same messages, and a bare sleep loop.
+"""What the node is measured against: a bare polled relay of the same messages, a bare sleep loop, and itself without a
+recording.
 
     python -m ik_controller.ros.baseline relay|sleep|listen
+    python -m ik_controller.ros.baseline switch ROUNDS
 
 The relay polls the node's subscriptions, sends each joint state on as relayed_commands, and does nothing else. It is
 listened to by `listen`, as the node is by the arm: sending to nobody would cost less. All run until SIGTERM or SIGINT,
 relay and sleep at 1 kHz, and then print one JSON object: period_p99_us.
+
+`switch` switches a node's recording on and off in turns, prints "on" or "off" when it is so and after `_WINDOW` seconds
+the periods' 99th percentiles [µs] that the node told of meanwhile, as a list in JSON.
 """
 
 from __future__ import annotations
@@ -19,6 +24,9 @@ from ik_controller.ros.loop import Loop
 from ik_controller.ros.monitor import Timing
 
 _PERIOD = 1_000_000  # [ns]
+_WINDOW = 4.0  # [s]
+_SETTLE = 1.5  # [s] after which the node's percentile, of its last 1000 cycles, knows nothing of the time before
+_PATIENCE = 60.0  # [s]
 
 
 def relay() -> Loop:
@@ -73,8 +81,50 @@ def sleep() -> Loop:
     return Loop(_PERIOD, lambda index, now, late: None)
 
 
+def switch(rounds: int) -> None:
+    """Switch the recording of /ik_controller on and off, `rounds` times; see the module."""
+    import rclpy
+    from diagnostic_msgs.msg import DiagnosticStatus
+    from rclpy.node import Node
+    from std_srvs.srv import SetBool
+
+    rclpy.init(args=[])
+    node = Node("switch")
+    told: list[dict[str, str]] = []
+    node.create_subscription(
+        DiagnosticStatus, "/ik_controller/status", lambda s: told.append({v.key: v.value for v in s.values}), 10
+    )
+    client = node.create_client(SetBool, "/ik_controller/record")
+
+    def spin(seconds: float) -> None:
+        end = time.monotonic() + seconds
+        while (left := end - time.monotonic()) > 0.0:
+            rclpy.spin_once(node, timeout_sec=left)
+
+    for wanted in (True, False) * rounds:
+        state = "recording" if wanted else "off"
+        deadline = time.monotonic() + _PATIENCE
+        asked = 0.0
+        while not told or told[-1]["recorder"] != state:
+            if time.monotonic() - asked > 2.0:  # again: an answer, or the question, may be lost
+                client.call_async(SetBool.Request(data=wanted))
+                asked = time.monotonic()
+            spin(0.05)
+            if time.monotonic() > deadline:
+                sys.exit(f"the node does not switch its recording to {state}")
+        spin(_SETTLE)
+        told.clear()
+        print("on" if wanted else "off", flush=True)
+        spin(_WINDOW)
+        print(json.dumps([float(values["period_p99_us"]) for values in told]), flush=True)
+    rclpy.shutdown()
+
+
 def main() -> None:
     """Run one of them until a signal."""
+    if sys.argv[1] == "switch":
+        switch(int(sys.argv[2]))
+        return
     loop = {"relay": relay, "sleep": sleep, "listen": listen}[sys.argv[1]]()
     timing = Timing(_PERIOD, window=100_000)
     cycle = loop.cycle

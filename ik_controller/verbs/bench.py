@@ -6,8 +6,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
-import random
 import signal
 import statistics
 import subprocess
@@ -20,6 +20,7 @@ from typing import Any
 
 from ik_controller.errors import IkControllerError
 from ik_controller.verbs.common import add_json_argument, print_json, print_table
+from ik_controller.verbs.processes import private_graph
 
 HELP = "measure step, replay and node, each beside a yardstick on this machine"
 
@@ -40,7 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure and print the rows."""
     rows = [*_steps(), *_replay()]
     if not arguments.no_ros:
-        rows += _node(arguments.seconds)
+        rows += [*_node(arguments.seconds), *_recording()]
     if arguments.json:
         print_json(rows)
         return 0
@@ -190,44 +191,68 @@ def _replay() -> list[dict[str, Any]]:
     return [_row("replay, a cycle", times, [1000.0] * len(times), "1 kHz real time")]
 
 
+class _Graph:
+    """Processes over DDS, alone on this host, all ended with the `with` block."""
+
+    def __init__(self, commands: dict[str, list[str]]) -> None:
+        self._environment = private_graph()
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        for name, command in commands.items():
+            self.start(name, command)
+
+    def start(self, name: str, command: list[str]) -> subprocess.Popen[bytes]:
+        """Start `python -m` with a command."""
+        self.processes[name] = subprocess.Popen(
+            [sys.executable, "-m", *command],
+            env=self._environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            stdin=subprocess.DEVNULL,
+        )
+        return self.processes[name]
+
+    def end(self, name: str) -> bytes:
+        """Ask a process to end; return what it said."""
+        self.processes[name].send_signal(signal.SIGTERM)
+        return self.processes[name].communicate(timeout=30.0)[0]
+
+    def processor_time(self, name: str) -> float:
+        """Return the user and system time [s] of a process, threads included."""
+        fields = Path(f"/proc/{self.processes[name].pid}/stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / _TICKS
+
+    def __enter__(self) -> _Graph:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for process in self.processes.values():
+            if process.poll() is None:
+                process.kill()
+            process.communicate()
+
+
+def _run_of_node(folder: str, record: bool) -> dict[str, list[str]]:
+    """Return the commands of a node at 1 kHz, its simulated arm, and who sends it targets."""
+    settings = ["-p", "robot:=panda", "-p", f"record_folder:={folder}", "-p", f"record:={str(record).lower()}"]
+    return {
+        "sim": ["ik_controller.cli", "sim"],
+        "node": ["ik_controller.ros.process", "--ros-args", *settings],
+        "stream": ["ik_controller.cli", "stream", str(_targets()), "--loop", "--patience", "30"],
+    }
+
+
 def _node(seconds: float) -> list[dict[str, Any]]:
     """Run sim, node, relay and sleep loop at once; compare processor time and the period's 99th percentile."""
-    environment = dict(os.environ)
-    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    environment.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 100)))
-    module = [sys.executable, "-m"]
     with tempfile.TemporaryDirectory() as folder:
-        settings = ["-p", "robot:=panda", "-p", f"record_folder:={folder}"]
-        commands = {
-            "sim": [*module, "ik_controller.cli", "sim"],
-            "node": [*module, "ik_controller.ros.process", "--ros-args", *settings],
-            "relay": [*module, "ik_controller.ros.baseline", "relay"],
-            "listen": [*module, "ik_controller.ros.baseline", "listen"],
-            "sleep": [*module, "ik_controller.ros.baseline", "sleep"],
-            "stream": [*module, "ik_controller.cli", "stream", str(_targets()), "--loop", "--patience", "30"],
-        }
-        processes = {
-            name: subprocess.Popen(
-                command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, stdin=subprocess.DEVNULL
-            )
-            for name, command in commands.items()
-        }
-        try:
+        beside = {name: ["ik_controller.ros.baseline", name] for name in ("relay", "listen", "sleep")}
+        with _Graph({**_run_of_node(folder, record=True), **beside}) as graph:
             time.sleep(6.0)  # until all have started and found each other
             shares = []
             for _ in range(_WINDOWS):  # the machine's speed drifts: the ratio is taken window by window
-                before = {name: _processor_time(process.pid) for name, process in processes.items()}
+                before = {name: graph.processor_time(name) for name in graph.processes}
                 time.sleep(seconds / _WINDOWS)
-                shares.append({name: _processor_time(p.pid) - before[name] for name, p in processes.items()})
-            outputs = {}
-            for name in ("stream", "node", "relay", "listen", "sleep", "sim"):
-                processes[name].send_signal(signal.SIGTERM)
-                outputs[name], _ = processes[name].communicate(timeout=30.0)
-        finally:
-            for process in processes.values():
-                if process.poll() is None:
-                    process.kill()
-                    process.wait()
+                shares.append({name: graph.processor_time(name) - before[name] for name in graph.processes})
+            outputs = {name: graph.end(name) for name in ("stream", "node", "relay", "listen", "sleep", "sim")}
         node_p99 = _node_period(Path(folder), seconds)
     sleep_p99 = json.loads(outputs["sleep"])["period_p99_us"]
     cycles = seconds / _WINDOWS * 1000.0
@@ -250,16 +275,47 @@ def _node(seconds: float) -> list[dict[str, Any]]:
     ]
 
 
+def _recording() -> list[dict[str, Any]]:
+    """Switch a node's recording on and off in turns; compare processor time and the period's 99th percentile."""
+    shares: dict[str, list[float]] = {"on": [], "off": []}
+    periods: dict[str, list[float]] = {"on": [], "off": []}
+    with tempfile.TemporaryDirectory() as folder, _Graph(_run_of_node(folder, record=False)) as graph:
+        said = graph.start("switch", ["ik_controller.ros.baseline", "switch", str(_WINDOWS)]).stdout
+        assert said is not None
+        while state := said.readline().decode().strip():
+            before, start = graph.processor_time("node"), time.monotonic()
+            told = json.loads(said.readline() or "[]")
+            shares[state].append((graph.processor_time("node") - before) / (time.monotonic() - start))
+            periods[state].append(statistics.median(told or [math.nan]))
+        for name in ("stream", "node", "sim"):
+            graph.end(name)
+    if len(shares["off"]) < _WINDOWS:
+        raise IkControllerError("the node's recording could not be switched: is rclpy installed?")
+    cost = statistics.median(on - off for on, off in zip(shares["on"], shares["off"], strict=True))
+    p99_on, p99_off = statistics.median(periods["on"]), statistics.median(periods["off"])
+    return [
+        {
+            "name": "recording, processor time a cycle",
+            "median_us": 1e3 * cost,
+            "p99_us": None,
+            "ratio": cost,
+            "beside": "one core; the same node without recording takes "
+            f"{1e3 * statistics.median(shares['off']):.0f} µs a cycle",
+        },
+        {
+            "name": "recording node's period",
+            "median_us": 1000.0,
+            "p99_us": p99_on,
+            "ratio": statistics.median(on / off for on, off in zip(periods["on"], periods["off"], strict=True)),
+            "beside": f"p99 of the same node without recording ({p99_off:.0f} µs)",
+        },
+    ]
+
+
 def _targets() -> Path:
     from ik_controller.share import bag_folder
 
     return bag_folder("panda_figure_eight")
-
-
-def _processor_time(pid: int) -> float:
-    """Return the user and system time [s] of a process, threads included."""
-    fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()
-    return (int(fields[11]) + int(fields[12])) / _TICKS
 
 
 def _node_period(folder: Path, seconds: float) -> float:
