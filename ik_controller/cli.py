@@ -10,7 +10,7 @@ import importlib
 import os
 import sys
 
-from ik_controller.errors import IkControllerError
+from ik_controller.errors import IkControllerError, choices
 from ik_controller.verbs.common import print_error
 
 VERBS = (
@@ -28,6 +28,7 @@ VERBS = (
     "import",
     "compare",
 )
+ROS_VERBS = ("sim", "stream", "view", "teleop")  # are ROS processes: they take `--ros-args …` as every node does
 
 
 class _Parser(argparse.ArgumentParser):
@@ -38,9 +39,23 @@ class _Parser(argparse.ArgumentParser):
         self.exit(2)
 
 
+def split(given: list[str]) -> tuple[list[str], list[str]]:
+    """Return the verb's own words and those for ROS: `--ros-args` and what follows it, up to `--`, as often as it
+    comes.
+    """
+    own: list[str] = []
+    ros: list[str] = []
+    inside = False
+    for word in given:
+        inside = inside or word == "--ros-args"
+        (ros if inside else own).append(word)
+        inside = inside and word != "--"
+    return own, ros
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run one verb and return the exit code."""
-    given = sys.argv[1:] if arguments is None else arguments
+    given, ros = split(sys.argv[1:] if arguments is None else arguments)
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="replace")  # a terminal without µ or × shows a question mark, and no traceback
@@ -56,6 +71,9 @@ def main(arguments: list[str] | None = None) -> int:
         module = importlib.import_module(f"ik_controller.verbs.{name}")
         module.add_arguments(verbs.add_parser(name, help=module.HELP, description=module.HELP))
     options = parser.parse_args(given)
+    options.ros_arguments = ros
+    if ros and options.verb not in ROS_VERBS:
+        parser.error(f"{options.verb} takes no --ros-args; these do: {choices(ROS_VERBS)}")
     try:
         module = importlib.import_module(f"ik_controller.verbs.{options.verb}")
         return int(module.run(options))

@@ -10,7 +10,6 @@ import rclpy
 from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
@@ -20,14 +19,18 @@ from ik_controller.kinematics.model import RobotModel
 from ik_controller.messages.cdr import JointStateReader, JointStateWriter
 from ik_controller.ros.loop import Loop
 from ik_controller.ros.polling import PolledGroup, PolledSubscription
+from ik_controller.ros.start import start_ros
 
 
-def simulate(model: RobotModel, q: NDArray[np.float64], rate: float, **arm: Any) -> dict[str, int]:
+def simulate(
+    model: RobotModel, q: NDArray[np.float64], rate: float, ros_arguments: list[str], **arm: Any
+) -> dict[str, int]:
     """Run a simulated arm from rest at q (n,) until SIGINT or SIGTERM; `arm`: the options of `SimulatedArm`.
 
-    Return how many cycles it ran, missed, and how many commands it took.
+    Return how many cycles it ran, missed, and how many commands it took. Raises ParameterError for malformed ROS
+    arguments.
     """
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    start_ros(ros_arguments)
     node = Node("simulated_arm")
     commands = PolledSubscription(node, PolledGroup(), JointState, "joint_commands", 10, reliable=False)
     states = node.create_publisher(JointState, "joint_states", 10)

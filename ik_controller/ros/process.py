@@ -13,10 +13,10 @@ from typing import Any
 import rclpy
 from rclpy.exceptions import InvalidNamespaceException, InvalidNodeNameException
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 from ik_controller.errors import IkControllerError, ParameterError
 from ik_controller.ros.node import ControllerNode
+from ik_controller.ros.start import start_ros
 
 _NAME = "ik_controller"
 
@@ -75,12 +75,10 @@ def _outcome(failures: list[Exception]) -> int:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run until SIGINT or SIGTERM: exit code 0 then, 2 for a mistake in the configuration of any arm."""
-    # rclpy's own handlers would shut the context down before the stop command can go out.
     try:
-        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
-    except RuntimeError as error:  # a malformed ROS argument, or a parameter file that cannot be read
-        print(f"ik_controller_node: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+        start_ros(sys.argv if arguments is None else arguments)
+    except ParameterError as error:
+        return _outcome([error])
     wake, waker = os.pipe()  # what may be done in a signal handler: write a byte
 
     def stop(*_: Any) -> None:

@@ -12,13 +12,13 @@ import rclpy.duration
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
 from ik_controller.errors import IkControllerError
 from ik_controller.recording.target_bag import TargetBag, restamped
 from ik_controller.ros.polling import PolledGroup, PolledSubscription
+from ik_controller.ros.start import full_name, start_ros
 
 _KINDS = {
     "target_pose": PoseStamped,
@@ -30,7 +30,8 @@ _KINDS = {
 
 def stream(
     targets: TargetBag,
-    node_name: str = "/ik_controller",
+    node_name: str = "ik_controller",
+    ros_arguments: list[str] | None = None,
     *,
     duration: float | None = None,
     loop: bool = False,
@@ -42,8 +43,9 @@ def stream(
     Waits up to `patience` [s] until the node listens and tells its tool's pose, which it does once it knows the arm's
     joints; raises IkControllerError if it does not. `progress` is called with the seconds sent so far.
     """
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    start_ros(ros_arguments or [])
     node = Node("target_streamer")
+    node_name = full_name(node, node_name)
     stopped = False
 
     def stop(*_: Any) -> None:

@@ -18,7 +18,6 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from numpy.typing import NDArray
 from rcl_interfaces.srv import GetParameters
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Joy
 from std_srvs.srv import SetBool, Trigger
 
@@ -27,6 +26,7 @@ from ik_controller.messages import cdr
 from ik_controller.ros.joystick import JoyMapping
 from ik_controller.ros.keyboard import Held, Terminal, events
 from ik_controller.ros.polling import PolledGroup, PolledSubscription
+from ik_controller.ros.start import full_name, start_ros
 
 Array = NDArray[np.float64]
 
@@ -46,9 +46,17 @@ press             f  frame (base, tool)    +/-  speed    p  pause, go on    r  r
 class Teleop:
     """Sends twists to the node `target`; speeds [m/s, rad/s] at full deflection."""
 
-    def __init__(self, target: str, linear: float, angular: float, frame: str = "base") -> None:
-        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    def __init__(
+        self,
+        target: str,
+        linear: float,
+        angular: float,
+        frame: str = "base",
+        ros_arguments: list[str] | None = None,
+    ) -> None:
+        start_ros(ros_arguments or [])
         self.node = node = Node("teleop", start_parameter_services=False)
+        target = full_name(node, target)
         self.target, self.linear, self.angular, self.frame = target, linear, angular, frame
         self.paused = False
         self.held: dict[str, float] = {}  # what is held, for showing
@@ -188,9 +196,17 @@ def by_joystick(teleop: Teleop, mapping: JoyMapping, topic: str) -> None:
         time.sleep(max(1.0 / RATE - (time.monotonic() - begin), 0.0))
 
 
-def teleop(target: str, linear: float, angular: float, frame: str, joy: JoyMapping | None, topic: str) -> None:
+def teleop(
+    target: str,
+    linear: float,
+    angular: float,
+    frame: str,
+    joy: JoyMapping | None,
+    topic: str,
+    ros_arguments: list[str],
+) -> None:
     """Steer the node `target` by hand until the user ends it."""
-    hands = Teleop(target, linear, angular, frame)
+    hands = Teleop(target, linear, angular, frame, ros_arguments)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, hands.stop)
     try:

@@ -23,7 +23,6 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
@@ -39,6 +38,7 @@ from ik_controller.messages.markers import take_markers
 from ik_controller.parameters import ControllerParameters, specs
 from ik_controller.robots import build_model, urdf_text
 from ik_controller.ros.polling import PolledGroup, PolledSubscription
+from ik_controller.ros.start import full_name, start_ros
 from ik_controller.view.page import SLIDERS, Page, Steering
 
 Array = NDArray[np.float64]
@@ -67,11 +67,11 @@ class Viewer:
 
     def __init__(self, target: str, page_title: str, dark: bool = False, context: Any = None) -> None:
         self.page = Page(page_title, Steering(self._drag, self._set, self._press), dark)
-        self._target = target
         self._lock = threading.Lock()
         self._goal: tuple[Any, float] | None = None  # dragged pose, and until when it is sent
         self._stop = threading.Event()
         self.node = node = Node("viewer", context=context, start_parameter_services=False)
+        self._target = target = full_name(node, target)
         self._get = node.create_client(GetParameters, f"{target}/get_parameters")
         self._set_parameters = node.create_client(SetParameters, f"{target}/set_parameters")
         self._services = {
@@ -290,9 +290,9 @@ def _beside(target: str, topic: str) -> str:
     return f"{target.rpartition('/')[0]}/{topic}"
 
 
-def view(target: str, title: str, dark: bool, opened: Any) -> None:
+def view(target: str, title: str, dark: bool, opened: Any, ros_arguments: list[str]) -> None:
     """Serve the page of the node `target` until SIGINT or SIGTERM; `opened(page)` is called once it is served."""
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    start_ros(ros_arguments)
     viewer = Viewer(target, title, dark)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, viewer.stop)

@@ -46,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ParameterError(f"--start: need {model.n} finite values for {', '.join(model.joint_names)}")
     from ik_controller.ros.arm import simulate
 
-    counts = simulate(model, q, arguments.rate, seed=arguments.seed, **options)
+    counts = simulate(model, q, arguments.rate, arguments.ros_arguments, seed=arguments.seed, **options)
     if arguments.json:
         print_json(counts)
     return 0

@@ -21,7 +21,7 @@ HELP = "send the poses and twists of a bag to a running node, at their own pace"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.add_argument("bag", help="bag of poses, twists, transforms, odometry, trajectories or joints")
-    parser.add_argument("--node", default="/ik_controller", metavar="NAME", help="the node to send to (/ik_controller)")
+    parser.add_argument("--node", default="ik_controller", metavar="NAME", help="the node to send to (ik_controller)")
     parser.add_argument("--duration", type=float, metavar="S", help="only the first seconds")
     parser.add_argument("--loop", action="store_true", help="start again at the end, until Ctrl-C")
     parser.add_argument("--patience", type=float, default=10.0, metavar="S", help="how long to wait for the node (10)")
@@ -45,7 +45,8 @@ def run(arguments: argparse.Namespace) -> int:
     bar = Progress(length, "streaming")
     sent = stream(
         targets,
-        "/" + arguments.node.strip("/"),
+        arguments.node.rstrip("/"),
+        arguments.ros_arguments,
         duration=arguments.duration,
         loop=arguments.loop,
         patience=arguments.patience,

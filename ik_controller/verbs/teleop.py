@@ -13,7 +13,7 @@ HELP = "move the tool by hand: keyboard, or a gamepad or SpaceMouse by a mapping
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's arguments."""
-    parser.add_argument("--node", default="/ik_controller", metavar="NAME", help="the node to steer (/ik_controller)")
+    parser.add_argument("--node", default="ik_controller", metavar="NAME", help="the node to steer (ik_controller)")
     parser.add_argument("--linear", type=float, metavar="M/S", help="speed of the tool (0.1, or the mapping's)")
     parser.add_argument("--angular", type=float, metavar="RAD/S", help="its rate of turn (0.4, or the mapping's)")
     parser.add_argument("--frame", choices=("base", "tool"), default="base", help="frame of the motion at the start")
@@ -34,7 +34,7 @@ def run(arguments: argparse.Namespace) -> int:
     mapping = None if arguments.joy is None else load(_mapping_file(arguments.joy))
     linear = arguments.linear or (0.1 if mapping is None else mapping.linear_speed)
     angular = arguments.angular or (0.4 if mapping is None else mapping.angular_speed)
-    teleop(arguments.node, linear, angular, arguments.frame, mapping, arguments.topic)
+    teleop(arguments.node, linear, angular, arguments.frame, mapping, arguments.topic, arguments.ros_arguments)
     if arguments.json:
         print_json({"ended": True})
     return 0

@@ -18,7 +18,7 @@ HELP = "show an arm in the browser and drag its target: a running node's, a simu
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's arguments."""
-    parser.add_argument("--node", default="/ik_controller", metavar="NAME", help="the node to watch (/ik_controller)")
+    parser.add_argument("--node", default="ik_controller", metavar="NAME", help="the node to watch (ik_controller)")
     parser.add_argument("--sim", action="store_true", help="start a simulated arm and its node, and show them")
     parser.add_argument("--bag", metavar="BAG", help="play a recorded run; needs no ROS")
     add_model_arguments(parser, default="panda")
@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
         else:
             from ik_controller.ros.viewer import view
 
-            view(arguments.node, arguments.node.strip("/"), arguments.dark, opened)
+            view(arguments.node, arguments.node.strip("/"), arguments.dark, opened, arguments.ros_arguments)
     finally:
         for door in doors:
             door.close()
@@ -99,7 +99,7 @@ def _simulate(arguments: argparse.Namespace, opened: Any) -> None:
         start_arm(processes, arguments, {"record_folder": str(output)})
         watch = threading.Thread(target=_watch, args=(processes,), daemon=True)
         watch.start()
-        view("/ik_controller", f"{title} (simulated)", arguments.dark, opened)
+        view("/ik_controller", f"{title} (simulated)", arguments.dark, opened, [])
         processes.end("node", "sim")
     finally:
         processes.close()
