@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from ik_controller.cli import VERBS
+from ik_controller.cli import ROS_VERBS, VERBS, split
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "bags" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -55,7 +55,9 @@ def test_command(command, tmp_path):
         parser = argparse.ArgumentParser()
         module = importlib.import_module(f"ik_controller.verbs.{words[1]}")
         module.add_arguments(parser)
-        parser.parse_args(words[2:])  # its words are right
+        own, ros = split(words[2:])
+        parser.parse_args(own)  # its words are right
+        assert not ros or words[1] in ROS_VERBS
         return
     shutil.copytree(ROOT / "bags", tmp_path / "bags")
     (tmp_path / "FILE").write_text("gain: 20.0\n", encoding="utf-8")

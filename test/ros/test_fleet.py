@@ -8,7 +8,8 @@ from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from rig import NODE, ROOT, Rig, recorded, values_of
+from rig import NODE, ROOT, Rig, figure_bag, recorded, values_of
+from sensor_msgs.msg import JointState
 from test_services import replayed
 
 ARMS = {"left": 1.0, "right": -1.0}
@@ -104,6 +105,36 @@ def test_two_models_in_namespaces_of_their_own(rig: Rig) -> None:
     assert rig.state("/cell/b/arm") == "active"
     node.send(signal.SIGINT)
     assert node.wait() == 0, node.err
+
+
+def test_two_arms_in_namespaces_of_their_own_each_with_its_arm(rig: Rig) -> None:
+    """Nodes, arms and streamer by `-r __ns:=`; the joints have the same names, so nothing else tells them apart."""
+    states: dict[str, list[JointState]] = {}
+    for side in ARMS:
+        namespace = ["-r", f"__ns:=/{side}"]
+        rig.start_sim("--rate", "200", "--ros-args", *namespace)
+        rig.start_node(*namespace, robot="panda", rate=200.0)
+        rig.hear(side, DiagnosticStatus, f"/{side}/ik_controller/status")
+        rig.hear(f"{side}_states", JointState, f"/{side}/joint_states")
+        states[side] = rig.heard[f"{side}_states"]
+    for side in ARMS:
+        rig.until_new(side, lambda s: "holding" in s.message, f"{side} to hold")
+    start = list(states["right"][-1].position)
+    streamed = rig.run_cli(
+        "stream", str(figure_bag(rig.folder / "targets", 0.5)), "--patience", "60", "--ros-args", "-r", "__ns:=/left"
+    )
+    assert streamed.wait() == 0, streamed.err
+    rig.until_new("left", lambda s: "holding" in s.message, "left to hold again")
+    assert max(abs(a - b) for a, b in zip(states["left"][-1].position, start, strict=True)) > 0.002
+    assert list(states["right"][-1].position) == start
+    for process in rig.processes:
+        process.send(signal.SIGINT)
+    assert [process.wait() for process in rig.processes] == [0] * len(rig.processes)
+    for side in ARMS:
+        (bag,) = [bag for bag in rig.bags() if f"run_{side}_" in bag.name]
+        assert replayed(bag).identical
+        assert len(recorded(bag, f"/{side}/joint_commands")) > 10
+        assert bool(recorded(bag, f"/{side}/ik_controller/target_pose")) == (side == "left")
 
 
 def test_a_mistake_in_one_arm_ends_the_process_and_names_it(rig: Rig) -> None:

@@ -103,6 +103,8 @@ def test_as_a_process(tmp_path: Path) -> None:
         (["sim", "--robot", "pandabear"], ["pandabear", "ur5e"]),
         (["sim", "--rate", "0"], ["--rate", "2000"]),
         (["sim", "--lag", "-1"], ["--lag"]),
+        (["sim", "--ros-args", "-r", "__ns:=/a b"], ["__ns:=/a b"]),
+        (["replay", "RUN", "--ros-args", "-r", "__ns:=/a"], ["--ros-args", "sim"]),
         (["sim", "--start", "0", "0"], ["--start", "panda_joint7"]),
         (["sim", "--urdf", "x.urdf"], ["--tip"]),
         (["sim", "--urdf", "x.urdf", "--tip", "tool"], ["x.urdf"]),
