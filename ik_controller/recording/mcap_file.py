@@ -7,6 +7,7 @@ from `mcap`; only messages inside a chunk are taken apart here, because they com
 
 from __future__ import annotations
 
+import contextlib
 import os
 import struct
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
@@ -25,6 +27,7 @@ from ik_controller.errors import BagError
 from ik_controller.recording.segment import MAGIC
 
 _HEAD = struct.Struct("<BQ")  # opcode, length of the content
+_CHUNK_HEAD = struct.Struct("<QQQII")  # first time, last time, size, checksum, length of the compression's name
 _FOOTER_SIZE = 9 + 20 + len(MAGIC)
 _BUFFER = 1 << 18
 
@@ -101,6 +104,7 @@ class McapFile:
         self.metadata: list[Metadata] = []
         self.complete = False
         self.lost_bytes = 0
+        self._cut: int | None = None  # where a chunk begins in which the file ends
         try:
             with path.open("rb", buffering=_BUFFER) as file:
                 self.size = os.fstat(file.fileno()).st_size
@@ -143,11 +147,31 @@ class McapFile:
             if len(head) < 9 or opcode == 0 or position + 9 + length > self.size:
                 lossless = not head or opcode in _AFTER_MESSAGES
                 self.lost_bytes = 0 if lossless else self.size - position
+                self._cut = position if opcode == Opcode.CHUNK and len(head) == 9 else None
                 return
             yield opcode, position + 9, length
             if opcode == Opcode.FOOTER:
                 return
             position += 9 + length
+
+    def cut_chunk(self, file: BinaryIO) -> bytes:
+        """Return the records, as far as they can be decompressed, of a chunk in which the file is cut off; the last one
+        may be cut off too. Empty where the file was not cut in a chunk, or `records` was not read to the end.
+        """
+        if self._cut is None:
+            return b""
+        file.seek(self._cut + 9)
+        content = file.read()
+        try:
+            name = _CHUNK_HEAD.size + _CHUNK_HEAD.unpack_from(content)[-1]
+            compression, data = content[_CHUNK_HEAD.size : name], content[name + 8 :]
+            if compression == b"zstd":
+                data = zstandard.ZstdDecompressor().decompressobj().decompress(data)
+            elif compression == b"lz4":
+                data = lz4.frame.LZ4FrameDecompressor().decompress(data)
+            return data if compression in (b"zstd", b"lz4", b"") else b""
+        except DAMAGE:
+            return b""
 
     def _read_summary(self, file: BinaryIO) -> bool:
         """Read the summary of a whole file; False if there is none, or none that says everything."""
@@ -201,17 +225,19 @@ class McapFile:
                 self._learn(opcode, file.read(length))
         if chunk is not None:
             self._learn_chunk(file, *chunk)
+        with contextlib.suppress(*DAMAGE):
+            self._learn_records(self.cut_chunk(file))
 
     def _learn_chunk(self, file: BinaryIO, offset: int, length: int) -> None:
         """Take in the channels that stand inside a chunk. A damaged chunk is for whoever reads its messages."""
         file.seek(offset)
-        try:
-            data = decompress(parse(Chunk, file.read(length)))
-            for opcode, begin, end in chunk_records(data):
-                if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self._learn(opcode, data[begin:end])
-        except DAMAGE:
-            return
+        with contextlib.suppress(*DAMAGE):
+            self._learn_records(decompress(parse(Chunk, file.read(length))))
+
+    def _learn_records(self, data: bytes) -> None:
+        for opcode, begin, end in chunk_records(data):
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._learn(opcode, data[begin:end])
 
     def _learn(self, opcode: int, content: bytes) -> None:
         if opcode == Opcode.HEADER:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -77,7 +78,7 @@ class BagReader:
         return list(dict.fromkeys(record.name for file in self.files for record in file.metadata))
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """Yield the messages (of these topics, or all) in file order, up to where a cut-off bag ends.
+        """Yield the messages (of these topics, or all) in file order, up to where a cut-off bag ends, be it in a chunk.
 
         Raises BagError at a damaged chunk.
         """
@@ -150,7 +151,6 @@ def _stream_messages(file: McapFile, stream: BinaryIO, topics: Collection[str] |
         channel.id: channel.topic if topics is None or channel.topic in topics else None
         for channel in file.channels.values()
     }
-    unpack, new = MESSAGE_HEAD.unpack_from, tuple.__new__
     for opcode, _, length in file.records(stream):
         if opcode == Opcode.CHUNK:
             data = decompress(parse(Chunk, stream.read(length)))
@@ -160,10 +160,30 @@ def _stream_messages(file: McapFile, stream: BinaryIO, topics: Collection[str] |
             return
         else:
             continue
-        position, end = 0, len(data)
         batch: list[Message] = []
-        append = batch.append
-        data += _PADDING  # so that a message head can be read at any record
+        try:
+            _take_messages(data, names, batch)
+        except DAMAGE:
+            yield batch  # what stands before the damage
+            raise
+        yield batch
+    if file.complete:
+        raise ValueError("records end before the summary")
+    batch = []
+    with contextlib.suppress(*DAMAGE):  # its last message is cut off too
+        _take_messages(file.cut_chunk(stream), names, batch)
+    yield batch
+
+
+def _take_messages(data: bytes, names: dict[int, str | None], batch: list[Message]) -> None:
+    """Append the messages among these records to `batch`; `names`: topics by channel id, None for one to leave out.
+
+    Raises one of DAMAGE where the records make no sense from there on.
+    """
+    unpack, new, append = MESSAGE_HEAD.unpack_from, tuple.__new__, batch.append
+    position, end = 0, len(data)
+    data += _PADDING  # so that a message head can be read at any record
+    try:
         while position < end:
             opcode, length, channel_id, sequence, log_time, _ = unpack(data, position)
             begin = position + 31
@@ -171,15 +191,13 @@ def _stream_messages(file: McapFile, stream: BinaryIO, topics: Collection[str] |
             if opcode != 5:  # a schema or channel among the messages; McapFile knows them
                 continue
             if position > end or length < 22:
-                yield batch
                 raise ValueError("a message reaches beyond its chunk")
             name = names[channel_id]
             if name is not None:
                 # NamedTuple's own constructor would take half of the time of this loop
                 append(new(Message, (name, log_time, data[begin:position], sequence)))
-        yield batch
-    if file.complete:
-        raise ValueError("records end before the summary")
+    except KeyError:
+        raise ValueError(f"a message of channel {channel_id}, which is unknown") from None
 
 
 def _topics(files: list[McapFile]) -> list[Topic]:

@@ -1,11 +1,13 @@
 """Making a readable bag of one that was cut off, never sealed, or damaged: a new file, the original untouched.
 
 Chunks are copied as they are and indexed anew, so any MCAP file comes through: any profile, compression or encoding,
-with chunks or without.
+with chunks or without. Of a chunk in which the file ends, what can be decompressed is taken: all whole messages where
+there is no compression, those in the compressor's whole blocks (zstd 128 KiB, lz4 64 KiB) else.
 """
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import shutil
 import struct
@@ -175,7 +177,12 @@ def _copy(source: McapFile, stream: BinaryIO, writer: SegmentWriter) -> int:
                 loose.add(channel_id, sequence, log_time, publish_time, content[_LOOSE_HEAD.size :])
             elif opcode == Opcode.CHUNK:
                 chunk = parse(Chunk, content)
-                writer.add_packed_chunk(chunk, _entries(decompress(chunk), source))
+                data = decompress(chunk)
+                entries = _entries(data)
+                if entries.keys() <= source.channels.keys():
+                    writer.add_packed_chunk(chunk, entries)
+                else:
+                    lost += _take_known(data, source, loose)
             elif opcode == Opcode.METADATA:
                 record = parse(Metadata, content)
                 if record.name != "rosbag2":  # made anew: it counts the messages
@@ -185,20 +192,36 @@ def _copy(source: McapFile, stream: BinaryIO, writer: SegmentWriter) -> int:
         except DAMAGE:
             lost += 9 + length
     else:
+        with contextlib.suppress(*DAMAGE):  # its last message is cut off too
+            _take_known(source.cut_chunk(stream), source, loose)
         if loose.count:
             writer.add_chunk(loose)
     return lost
 
 
-def _entries(data: bytes, source: McapFile) -> dict[int, list[int]]:
+def _entries(data: bytes) -> dict[int, list[int]]:
     """Return the message index of a decompressed chunk: channel id -> log time, offset, log time, offset, …"""
     entries: dict[int, list[int]] = {}
     for opcode, begin, _ in chunk_records(data):
         if opcode == Opcode.MESSAGE:
             _, _, channel_id, _, log_time, _ = MESSAGE_HEAD.unpack_from(data, begin - 9)
-            if channel_id not in source.channels:
-                raise ValueError("a message of an unknown channel")
             values = entries.setdefault(channel_id, [])
             values.append(log_time)
             values.append(begin - 9)
     return entries
+
+
+def _take_known(data: bytes, source: McapFile, loose: ChunkBuilder) -> int:
+    """Take the messages of known channels among these records; return the bytes of the others.
+
+    Raises one of DAMAGE where a record is cut off, after those before it.
+    """
+    lost = 0
+    for opcode, begin, end in chunk_records(data):
+        if opcode == Opcode.MESSAGE:
+            channel_id, sequence, log_time, publish_time = _LOOSE_HEAD.unpack_from(data, begin)
+            if channel_id in source.channels:
+                loose.add(channel_id, sequence, log_time, publish_time, data[begin + _LOOSE_HEAD.size : end])
+            else:
+                lost += end - begin + 9
+    return lost

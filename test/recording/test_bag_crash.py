@@ -110,8 +110,11 @@ def runs() -> Iterator[subprocess.Popen[str]]:
     process.communicate()
 
 
-def kill_recover_replay(runs: subprocess.Popen[str], folder: Path, run_for: float) -> None:
-    """Kill a run after `run_for` [s]: at most 100 ms are lost, the rest replays bit for bit, also by another reader."""
+def kill_recover_replay(runs: subprocess.Popen[str], folder: Path, run_for: float) -> tuple[float, float]:
+    """Kill a run after `run_for` [s]: at most 100 ms are lost, the rest replays bit for bit, also by another reader.
+
+    Return what was lost and for how long the machine let no thread of the run go on [ms].
+    """
     note = folder / "note"
     note.write_bytes(bytes(24))
     bag = folder / "bag"
@@ -140,6 +143,7 @@ def kill_recover_replay(runs: subprocess.Popen[str], folder: Path, run_for: floa
     assert replayed.cycles == len(cycles)
     with AnyReader([result.output]) as reader:
         assert sum(1 for _ in reader.messages()) == result.messages
+    return (until - cycles[-1][1]) * 1e-6, stall * 1e-6
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs fork and /proc")
@@ -154,11 +158,18 @@ def test_killed_at_ten_random_moments(runs: subprocess.Popen[str], tmp_path: Pat
 @pytest.mark.soak
 def test_killed_at_100_random_moments(runs: subprocess.Popen[str], tmp_path: Path) -> None:
     generator = random.Random(100)
+    losses = []
     for number in range(100):
         folder = tmp_path / str(number)
         folder.mkdir()
-        kill_recover_replay(runs, folder, generator.uniform(0.12, 1.5))
+        losses.append(kill_recover_replay(runs, folder, generator.uniform(0.12, 1.5)))
         shutil.rmtree(folder)
+    lost = sorted(loss for loss, _ in losses)
+    stalled = sum(stall > 5.0 for _, stall in losses)
+    print(
+        f"100 killed and recovered: lost {lost[50]:.0f} ms in the middle, {lost[-1]:.0f} ms at most; "
+        f"the machine stalled {stalled} of them, for {max(stall for _, stall in losses):.0f} ms at most"
+    )
 
 
 @pytest.fixture
