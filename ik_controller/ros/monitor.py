@@ -122,7 +122,8 @@ class Monitor:
     def glance(self) -> tuple[Any, ...]:
         """Return what a new status is sent at once for when it changes."""
         state = self._session.status
-        return state.code, state.limit, state.joint, state.closest, state.damped, self._rejected_at is None
+        why = state.closest, state.feasible, state.damped
+        return state.code, state.limit, state.joint, *why, self._rejected_at is None
 
     def account(self, now: int) -> Account:
         """Return what there is to tell."""

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.clock import Clock, ClockType
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -62,7 +63,8 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
             self._service_change_state.callback,
             self._serve_change_state,
         )
-        self._idle_timer = self.create_timer(_STATUS_PERIOD, self._tell_idle)
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # told while the simulated time stands, too
+        self._idle_timer = self.create_timer(_STATUS_PERIOD, self._tell_idle, clock=steady)
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.create_subscription(String, "robot_description", self._on_description, latched)
         if self._urdf is None:

@@ -37,6 +37,7 @@ from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
+from visualization_msgs.msg import MarkerArray
 
 from ik_controller.recording.target_bag import write_targets
 from ik_controller.robots import build_model, bundled_parameters
@@ -67,6 +68,7 @@ SENT = {
     "target_twist": (TwistStamped, "/ik_controller/target_twist"),
     "target_trajectory": (MultiDOFJointTrajectory, "/ik_controller/target_trajectory"),
     "target_joints": (JointState, "/ik_controller/target_joints"),
+    "obstacles": (MarkerArray, "/ik_controller/obstacles"),
 }
 SERVICES = {"pause": SetBool, "record": SetBool, "reset": Trigger}
 
@@ -274,14 +276,14 @@ class Rig:
         return self._publishers[role]
 
     @contextmanager
-    def sending(self, role: str, message: Any) -> Iterator[None]:
-        """Send a message a hundred times a second until the block ends."""
+    def sending(self, role: str, message: Any, every: float = 0.01) -> Iterator[None]:
+        """Send a message, or what a function returns, every so many seconds until the block ends."""
         publisher = self.publisher(role)
         ended = threading.Event()
 
         def send() -> None:
-            while not ended.wait(0.01):
-                publisher.publish(message)
+            while not ended.wait(every):
+                publisher.publish(message() if callable(message) else message)
 
         sender = threading.Thread(target=send)
         sender.start()
