@@ -17,8 +17,9 @@ from ik_controller.kinematics.solve import solve_ik
 from ik_controller.messages import cdr
 from ik_controller.parameters import ControllerParameters
 from ik_controller.recording.reader import BagReader
-from ik_controller.recording.replay import Replay
+from ik_controller.recording.replay import Replay, tracking_error
 from ik_controller.recording.run import RunWriter, default_topics
+from ik_controller.recording.samples import within_turns
 from ik_controller.recording.target_bag import TargetBag, TargetOptions, restamped
 from ik_controller.robots import build_model
 from ik_controller.session import Session
@@ -65,11 +66,12 @@ def run_on_ideal_arm(
             session.take(role, data, now)
             if writer is not None:
                 writer.write(role, now, data)
+        before = session.controller.position
         step = session.cycle(now)
         if step is not None:
             arm.command(step.position)
             if step.status.code is Code.TRACKING:
-                result.errors.add(step.error)
+                result.errors.add(tracking_error(session, step, before))
             result.commands += 1
         arm.advance(session.dt)
         if writer is not None:
@@ -97,7 +99,7 @@ def _start(model: RobotModel, targets: TargetBag, posture: Array) -> Array:
     """Return the joints (n,) from which the arm starts."""
     options = targets.options
     if targets.first_joints is not None and options.fitting.idle:
-        return _within(model, targets.first_joints)
+        return within_turns(model, targets.first_joints)
     first: Any = targets.first_pose
     if first is None or targets.first_frame != model.base_frame:
         return posture
@@ -107,10 +109,3 @@ def _start(model: RobotModel, targets: TargetBag, posture: Array) -> Array:
         return posture
     found = solve_ik(model, first, posture)
     return found.q if found.converged else posture
-
-
-def _within(model: RobotModel, q: Array) -> Array:
-    """Return the same joints with whole turns taken off that lead beyond a limit."""
-    turns = np.where(model.prismatic | ((q >= model.lower) & (q <= model.upper)), 0.0, 2.0 * np.pi)
-    middle = model.middle()
-    return np.where(turns > 0.0, q - 2.0 * np.pi * np.round((q - middle) / (2.0 * np.pi)), q)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from ik_controller.control.controller import Step
@@ -197,6 +198,7 @@ def replay(
     encode = cdr.JointStateWriter(session.model.joint_names)
     other = other_output(session)
     first = last = 0
+    before: Array | None = None
     session.warm_up()
     gc.collect()
     gc.freeze()  # what is there by now need not be looked through again and again while cycles pass
@@ -220,7 +222,8 @@ def replay(
             if not same:
                 _note_difference(result, cycle, encode, (cycle.time - first) * 1e-9)
         if step is not None and step.status.code is Code.TRACKING:
-            result.errors.add(step.error)
+            result.errors.add(tracking_error(session, step, before))
+        before = None if step is None else step.position
         if writer is not None:
             if step is not None:
                 writer.write("joint_commands", cycle.time, encode.write(stamp, step.position, step.velocity))
@@ -238,6 +241,17 @@ def replay(
     if writer is not None:
         writer.close()
     return result
+
+
+def tracking_error(session: Session, step: Step, before: Array | None) -> Array:
+    """Return the last cycle's error (6,) of the tool, in joint space by forward kinematics; `before` (n,): the joints
+    as commanded before that cycle.
+    """
+    reference = session.reference
+    if reference is None or reference.joints is None or before is None:
+        return step.error
+    target, tool = session.model.forward(reference.joints), session.model.forward(before)
+    return np.concatenate((target.translation - tool.translation, pin.log3(target.rotation @ tool.rotation.T)))
 
 
 def other_output(session: Session) -> CommandWriter | None:

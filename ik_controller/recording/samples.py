@@ -72,7 +72,7 @@ def converter(type_name: str, role: str, child: str, model: RobotModel | None) -
         able = [kind for kind, roles in ROLES_OF_TYPE.items() if role in roles]
         raise BagError(f"{type_name} cannot be a {role}; {choices(able)} can")
     if role == "target_joints":
-        return lambda data: [Sample(role, cdr.stamp_of(cdr.decode(cdr.JOINT_STATE, data)), "", None, data)]
+        return _target_joints(model)
     if type_name in OF_JOINTS:
         if model is None:
             raise BagError(f"{type_name} needs a robot to become the tool's poses: give --robot or --urdf with --tip")
@@ -159,6 +159,36 @@ def _joint_states(model: RobotModel) -> Convert:
         return samples
 
     return convert
+
+
+def _target_joints(model: RobotModel | None) -> Convert:
+    reader = None if model is None else cdr.JointStateReader(model.joint_names)
+    turns: Array | None = None  # that the whole recording is beyond the limits
+
+    def convert(data: bytes) -> list[Sample]:
+        nonlocal turns
+        content = cdr.decode(cdr.JOINT_STATE, data)
+        stamp, q = cdr.stamp_of(content), None
+        if model is not None and reader is not None:
+            q = reader.read(data)
+            if q is None:
+                return []  # of another arm or a gripper
+            turns = q - within_turns(model, q) if turns is None else turns
+            q = q - turns
+            if turns.any():
+                content.position = content.position.copy()
+                for name, angle in zip(model.joint_names, q.tolist(), strict=True):
+                    content.position[content.name.index(name)] = angle
+                data = cdr.encode(content)
+        return [Sample("target_joints", stamp, "", None, data, q)]
+
+    return convert
+
+
+def within_turns(model: RobotModel, q: Array) -> Array:
+    """Return joints (n,) with whole turns taken off that lead beyond a limit."""
+    turns = np.where(model.prismatic | ((q >= model.lower) & (q <= model.upper)), 0.0, 2.0 * np.pi)
+    return np.where(turns > 0.0, q - 2.0 * np.pi * np.round((q - model.middle()) / (2.0 * np.pi)), q)
 
 
 def _joint_trajectories(model: RobotModel) -> Convert:

@@ -146,6 +146,8 @@ class TargetBag:
 
     def _see(self, sample: Sample) -> None:
         self.count += 1
+        if self._first is None and self.first_joints is None:
+            self.first_joints = sample.q
         self.roles.add(sample.role)
         if self.options.twists and sample.role == "target_pose":
             self.roles.add("target_twist")

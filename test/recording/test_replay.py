@@ -215,6 +215,27 @@ def test_a_bag_of_joint_states_alone_runs_as_tool_poses(tmp_path: Path) -> None:
     assert replay(open_bag(tmp_path / "run")).identical is True
 
 
+def test_recorded_joints_are_followed_as_joints_from_where_they_begin(tmp_path: Path) -> None:
+    """The last joint was counted from another turn."""
+    writer = BagWriter(tmp_path / "joints", patient=True)
+    channel = writer.channel("/joint_states", cdr.JOINT_STATE)
+    encode = cdr.JointStateWriter(MODEL.joint_names)
+    home, turn = np.array(PANDA.posture) + 0.2, np.array([0.0] * 6 + [2.0 * np.pi])
+    for index in range(200):
+        q, v = home + 0.1 * (1.0 - np.cos(0.03 * index)), np.full(MODEL.n, 0.3 * np.sin(0.03 * index))
+        writer.write(channel, START + index * 10_000_000, encode.write(START + index * 10_000_000, q + turn, v))
+    writer.close()
+    bag, targets = open_bag(tmp_path / "joints"), TargetOptions(sources=(Source.parse("target_joints=/joint_states"),))
+    result = replay(bag, robot=PANDA, targets=targets, output=tmp_path / "run")
+    assert 0.0 < result.errors.as_mapping()["position_max_m"] < 2e-3
+    commands = [m.data for m in open_bag(tmp_path / "run").messages(["/joint_commands"])]
+    np.testing.assert_allclose(encode.positions(commands[0]), home, atol=1e-12)
+    np.testing.assert_allclose(encode.positions(commands[-1]), q, atol=1e-3)
+    again = replay(open_bag(tmp_path / "run"))
+    assert again.identical is True
+    assert again.errors.as_mapping() == result.errors.as_mapping()
+
+
 def test_a_bag_that_fits_nothing_is_told(tmp_path: Path) -> None:
     write_targets(tmp_path / "map", sine(0.1, frame="map"), START)
     with pytest.raises(BagError, match="'map' is unknown; legal: "):
