@@ -227,7 +227,8 @@ def test_recorded_joints_are_followed_as_joints_from_where_they_begin(tmp_path: 
     writer.close()
     bag, targets = open_bag(tmp_path / "joints"), TargetOptions(sources=(Source.parse("target_joints=/joint_states"),))
     result = replay(bag, robot=PANDA, targets=targets, output=tmp_path / "run")
-    assert 0.0 < result.errors.as_mapping()["position_max_m"] < 2e-3
+    # between two samples, 10 ms, the target stands: 3 mrad of every joint at 0.3 rad/s
+    assert 0.0 < result.errors.as_mapping()["position_max_m"] < 4e-3
     commands = [m.data for m in open_bag(tmp_path / "run").messages(["/joint_commands"])]
     np.testing.assert_allclose(encode.positions(commands[0]), home, atol=1e-12)
     np.testing.assert_allclose(encode.positions(commands[-1]), q, atol=1e-3)
