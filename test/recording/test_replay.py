@@ -231,7 +231,7 @@ def test_recorded_joints_are_followed_as_joints_from_where_they_begin(tmp_path: 
     assert 0.0 < result.errors.as_mapping()["position_max_m"] < 4e-3
     commands = [m.data for m in open_bag(tmp_path / "run").messages(["/joint_commands"])]
     np.testing.assert_allclose(encode.positions(commands[0]), home, atol=1e-12)
-    np.testing.assert_allclose(encode.positions(commands[-1]), q, atol=1e-3)
+    np.testing.assert_allclose(encode.positions(commands[-1]), q, atol=4e-3)
     again = replay(open_bag(tmp_path / "run"))
     assert again.identical is True
     assert again.errors.as_mapping() == result.errors.as_mapping()
