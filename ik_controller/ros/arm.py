@@ -31,7 +31,7 @@ def simulate(
     arguments.
     """
     start_ros(ros_arguments)
-    node = Node("simulated_arm")
+    node = Node("simulated_arm", start_parameter_services=False)
     commands = PolledSubscription(node, PolledGroup(), JointState, "joint_commands", 10, reliable=False)
     states = node.create_publisher(JointState, "joint_states", 10)
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

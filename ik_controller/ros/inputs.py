@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections import deque
 from typing import Any, NamedTuple
 
 from geometry_msgs.msg import PoseStamped, TwistStamped
@@ -16,6 +17,7 @@ from ik_controller.ros.optional import optional
 from ik_controller.ros.polling import PolledGroup, PolledSubscription
 
 _TAKEN_AT_ONCE = 200  # messages of one input a cycle, so that a flood cannot stop the loop
+_TURN = 0.005  # [s] in which every silent input is looked at
 
 
 class Input(NamedTuple):
@@ -61,36 +63,65 @@ def inputs_of(parameters: ControllerParameters) -> dict[str, Input]:
     return inputs
 
 
+class _Entry:
+    """A subscription with the role of its messages, and the cycle of the last one."""
+
+    __slots__ = ("heard", "role", "subscription", "take")
+
+    def __init__(self, role: str, subscription: PolledSubscription) -> None:
+        self.role, self.subscription, self.take = role, subscription, subscription.take
+        self.heard = 0
+
+
 class Inputs:
     """The subscriptions of one run, from its activation on: what was sent before is not taken.
 
-    `topics`: role → resolved topic of the targets.
+    A look at a subscription is not free: those that have been silent for a second take turns, so that a stream's first
+    message waits `_TURN` at most and the cycle pays for those that stream. `topics`: role → resolved topic of the
+    targets.
     """
 
     def __init__(self, node: Node, parameters: ControllerParameters) -> None:
         group = PolledGroup()
         self._node = node
-        self._subscriptions = [
-            (role, PolledSubscription(node, group, *settings)) for role, settings in inputs_of(parameters).items()
-        ]
+        inputs = list(inputs_of(parameters).items())
         # What was latched before we came reaches only a subscription that asks for it, and who does not latch reaches
         # only one that does not ask: both are needed, and markers taken twice are the same markers.
-        unlatched = inputs_of(parameters)["obstacles"]._replace(reliable=False, latched=False)
-        self._subscriptions.append(("obstacles", PolledSubscription(node, group, *unlatched)))
+        inputs.append(("obstacles", dict(inputs)["obstacles"]._replace(reliable=False, latched=False)))
+        self._entries = [_Entry(role, PolledSubscription(node, group, *settings)) for role, settings in inputs]
+        self._live, self._silent = list(self._entries), deque[_Entry]()
         several = ("joint_states", "obstacles")  # may have more than one publisher
-        self.topics = {role: entry.topic for role, entry in self._subscriptions if role not in several}
+        self.topics = {entry.role: entry.subscription.topic for entry in self._entries if entry.role not in several}
+        self._cycle = 0
+        self._second = round(parameters.rate)  # cycles in it
+        self._turn = max(_TURN * parameters.rate, 1.0)  # cycles in which all silent ones are looked at
 
-    def take(self) -> Iterator[tuple[str, bytes]]:
-        """Yield role and bytes of everything that has arrived, input by input."""
-        for role, subscription in self._subscriptions:
-            for _ in range(_TAKEN_AT_ONCE):
-                data = subscription.take()
-                if data is None:
-                    break
-                yield role, data
+    def take(self) -> list[tuple[str, bytes]]:
+        """Return role and bytes of everything that has arrived, input by input."""
+        self._cycle += 1
+        arrived: list[tuple[str, bytes]] = []
+        for entry in self._live:
+            self._empty(entry, arrived)
+        for _ in range(math.ceil(len(self._silent) / self._turn)):
+            entry = self._silent.popleft()
+            self._empty(entry, arrived)
+            (self._live if entry.heard == self._cycle else self._silent).append(entry)
+        if self._cycle % self._second == 0:
+            before = self._cycle - self._second
+            self._silent.extend(entry for entry in self._live if entry.heard <= before)
+            self._live = [entry for entry in self._live if entry.heard > before]
+        return arrived
+
+    def _empty(self, entry: _Entry, arrived: list[tuple[str, bytes]]) -> None:
+        for _ in range(_TAKEN_AT_ONCE):
+            data = entry.take()
+            if data is None:
+                break
+            arrived.append((entry.role, data))
+            entry.heard = self._cycle
 
     def close(self) -> None:
         """Stop listening."""
-        for _, subscription in self._subscriptions:
-            self._node.destroy_subscription(subscription.subscription)
-        self._subscriptions = []
+        for entry in self._entries:
+            self._node.destroy_subscription(entry.subscription.subscription)
+        self._entries, self._live, self._silent = [], [], deque()

@@ -44,9 +44,10 @@ class Timing:
         """Return the median and the 99th percentile of the period [µs]."""
         if self._count < 3:
             return self._period * 1e-3, self._period * 1e-3
-        starts = np.sort(self._starts[: min(self._count, len(self._starts))])
-        median, high = np.percentile(np.diff(starts), (50, 99)) * 1e-3
-        return float(median), float(high)
+        periods = np.diff(np.sort(self._starts[: min(self._count, len(self._starts))]))
+        periods.sort()  # np.percentile takes five times as long
+        last = len(periods) - 1
+        return 1e-3 * float(periods[round(0.5 * last)]), 1e-3 * float(periods[round(0.99 * last)])
 
 
 class Telling:

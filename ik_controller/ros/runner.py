@@ -7,7 +7,6 @@ cycles, so that a run is one sequence that can be repeated.
 from __future__ import annotations
 
 import contextlib
-import functools
 import gc
 import json
 import threading
@@ -143,8 +142,7 @@ class Runner:
             self._brake(now)
         while self._events:
             self._apply(self._events.popleft(), now)
-        events = functools.partial(self._apply_now, now=now)
-        for role, data in self._transforms.sorted_in(self._inputs.take(), session, now, events):
+        for role, data in self._transforms.sorted_in(self._inputs.take(), session, now, self._apply_now):
             if bag is not None:
                 bag.write(role, now, data)
             if not session.take(role, data, now):
@@ -185,8 +183,8 @@ class Runner:
         if self.recorder.bag is not None:
             self.recorder.bag.event(now, event)
 
-    def _apply_now(self, event: dict[str, Any], now: int) -> None:
-        self._apply(json.dumps(event), now)
+    def _apply_now(self, event: dict[str, Any]) -> None:
+        self._apply(json.dumps(event), self._now)
 
     def _brake(self, now: int) -> None:
         """End as with a pause: the arm brakes within its limits, then the session has nothing more to command."""

@@ -44,7 +44,7 @@ def stream(
     joints; raises IkControllerError if it does not. `progress` is called with the seconds sent so far.
     """
     start_ros(ros_arguments or [])
-    node = Node("target_streamer")
+    node = Node("target_streamer", start_parameter_services=False)
     node_name = full_name(node, node_name)
     stopped = False
 

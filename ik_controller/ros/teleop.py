@@ -26,6 +26,7 @@ from ik_controller.messages import cdr
 from ik_controller.ros.joystick import JoyMapping
 from ik_controller.ros.keyboard import Held, Terminal, events
 from ik_controller.ros.polling import PolledGroup, PolledSubscription
+from ik_controller.ros.question import Question
 from ik_controller.ros.start import full_name, start_ros
 
 Array = NDArray[np.float64]
@@ -65,9 +66,10 @@ class Teleop:
         group = PolledGroup()
         self._pose = PolledSubscription(node, group, PoseStamped, f"{target}/current_pose", 1, reliable=False)
         self._status = PolledSubscription(node, group, DiagnosticStatus, f"{target}/status", 1, reliable=False)
-        self._get = node.create_client(GetParameters, f"{target}/get_parameters")
         self._pause = node.create_client(SetBool, f"{target}/pause")
         self._reset = node.create_client(Trigger, f"{target}/reset")
+        # Made last: whoever answers it has found all of the above.
+        self._get = node.create_client(GetParameters, f"{target}/get_parameters")
         self._frames: dict[str, str] = {}
         self._stop = False
 
@@ -88,16 +90,15 @@ class Teleop:
     def find(self, patience: float) -> None:
         """Wait for the node and its frames. Raises IkControllerError where it does not answer in `patience` [s]."""
         by = time.monotonic() + patience
-        asked: Any = None
+        question = Question(self._get, GetParameters.Request(names=["tip_frame"]))
         while not self._stop and len(self._frames) < 2:
             rclpy.spin_once(self.node, timeout_sec=0.05)
             data = self._pose.take()
             if data is not None:
                 self._frames["base"] = str(cdr.decode(cdr.POSE, data).header.frame_id)
-            if asked is None and self._get.service_is_ready():
-                asked = self._get.call_async(GetParameters.Request(names=["tip_frame"]))
-            if asked is not None and asked.done():
-                self._frames["tool"] = asked.result().values[0].string_value
+            answer = question.answer()
+            if answer is not None:
+                self._frames["tool"] = answer.values[0].string_value
             if time.monotonic() > by:
                 heard = "does not know its arm's joints yet" if "tool" in self._frames else "does not answer"
                 raise IkControllerError(f"the node '{self.target}' {heard}: is it running, with joint_states?")

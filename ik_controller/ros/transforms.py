@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
 import pinocchio as pin
@@ -48,7 +48,7 @@ class Transforms:
 
     def sorted_in(
         self,
-        messages: Iterator[tuple[str, bytes]],
+        messages: Iterable[tuple[str, bytes]],
         session: Session,
         now: int,
         apply: Callable[[dict[str, Any]], None],

@@ -38,6 +38,7 @@ from ik_controller.messages.markers import take_markers
 from ik_controller.parameters import ControllerParameters, specs
 from ik_controller.robots import build_model, urdf_text
 from ik_controller.ros.polling import PolledGroup, PolledSubscription
+from ik_controller.ros.question import Question
 from ik_controller.ros.start import full_name, start_ros
 from ik_controller.view.page import SLIDERS, Page, Steering
 
@@ -72,7 +73,6 @@ class Viewer:
         self._stop = threading.Event()
         self.node = node = Node("viewer", context=context, start_parameter_services=False)
         self._target = target = full_name(node, target)
-        self._get = node.create_client(GetParameters, f"{target}/get_parameters")
         self._set_parameters = node.create_client(SetParameters, f"{target}/set_parameters")
         self._services = {
             "pause": (node.create_client(SetBool, f"{target}/pause"), SetBool.Request(data=True)),
@@ -101,6 +101,8 @@ class Viewer:
             PolledSubscription(node, group, MarkerArray, f"{target}/obstacles", 100, reliable=latch, latched=latch)
             for latch in (True, False)
         ]
+        # Made last: whoever answers it has found all of the above.
+        self._get = node.create_client(GetParameters, f"{target}/get_parameters")
         self._world = World()
         self._frames: Frames | None = None
         self._q: Array | None = None  # as last commanded
@@ -108,7 +110,7 @@ class Viewer:
         self._joints: cdr.JointStateReader | None = None
         self._error = np.zeros(6)
         self._speed = 0.0
-        self._asked: Any = None
+        self._question: Question | None = None
         self._heard = -_SILENT  # when the node last told its status
 
     def stop(self, *_: Any) -> None:
@@ -138,7 +140,7 @@ class Viewer:
         status = self._inputs["status"].latest()
         if status is not None:
             if now - self._heard > _SILENT:  # new, or come back: it may be another arm now
-                self._asked = None
+                self._question = None
                 self._model = None
             self._heard = now
             self._tell(cdr.decode("diagnostic_msgs/msg/DiagnosticStatus", status))
@@ -193,18 +195,15 @@ class Viewer:
 
     def _attach(self) -> None:
         """Ask the node for its parameters, and show the arm that they name."""
-        if self._asked is None:
-            if not self._get.service_is_ready():
-                return
-            self._names = [spec.name for spec in specs()]
-            self._asked = self._get.call_async(GetParameters.Request(names=self._names))
-        if not self._asked.done():
+        names = [spec.name for spec in specs()]
+        self._question = self._question or Question(self._get, GetParameters.Request(names=names))
+        answer = self._question.answer()
+        if answer is None:
             return
-        given = self._asked.result().values
-        self._asked = None
+        self._question = None
         values = {
             name: parameter_value_to_python(value)
-            for name, value in zip(self._names, given, strict=False)
+            for name, value in zip(names, answer.values, strict=False)
             if value.type != ParameterType.PARAMETER_NOT_SET
         }
         try:

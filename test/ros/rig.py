@@ -172,6 +172,7 @@ class Rig:
         self._executor.add_node(self._caller)
         self._clients: dict[str, Any] = {}
         self._publishers: dict[str, Any] = {}
+        self._met: set[tuple[str, int, int, int]] = set()  # node and how many clients, publishers, processes there were
         self.heard: dict[str, list[Any]] = {role: [] for role in HEARD}
         self.arrivals: dict[str, list[int]] = {role: [] for role in HEARD}
         self._subscriptions = {
@@ -239,6 +240,7 @@ class Rig:
             self.listen()
             value = condition()
             if value:
+                self.listen()  # what was sent before this on other topics
                 return value
             if time.monotonic() > by:
                 said = "\n".join(f"[{p.name}: {p.popen.poll()}] {p.err[-1500:]}" for p in self.processes)
@@ -265,15 +267,43 @@ class Rig:
     # -- sending and calling
 
     def publisher(self, role: str) -> Any:
-        """Return a publisher of a role of SENT, once somebody listens to it."""
+        """Return a publisher of a role of SENT; what is sent to the node is heard."""
         if role not in self._publishers:
             kind, topic = SENT[role]
             publisher = self._publishers[role] = self._listener.create_publisher(kind, topic, 100)
-            self.until(publisher.get_subscription_count, f"a listener on {role}")
-            # The listener may find us later than we find it, and nothing tells when: what we send is lost until then.
-            found = time.monotonic()
-            self.until(lambda: time.monotonic() > found + 0.5)
+            ourselves = role in HEARD
+            self.until(lambda: publisher.get_subscription_count() > ourselves, f"a listener on {role}")
+        if role != "joint_commands":  # the simulated arm answers nobody
+            self._meet("/ik_controller")
         return self._publishers[role]
+
+    def until_known(self, node: str) -> None:
+        """Listen until a node's process has found everything made here so far.
+
+        It may find us later than we find it: until then what we send to it is lost, and so are its answers. What one
+        process makes is announced in order; so one answer to a client made last proves it of all made before.
+        """
+        client = self._caller.create_client(GetParameters, f"{node}/get_parameters")
+
+        def answered() -> bool:
+            future = client.call_async(GetParameters.Request())
+            by = time.monotonic() + 1.0
+            while not future.done() and time.monotonic() < by:
+                self._executor.spin_once(timeout_sec=0.01)
+                self.listen()
+            return future.done()
+
+        try:
+            self.until(client.service_is_ready, f"{node} to serve")
+            self.until(answered, f"{node} to find this process")
+        finally:
+            self._caller.destroy_client(client)
+
+    def _meet(self, node: str) -> None:
+        meeting = (node, len(self._clients), len(self._publishers), len(self.processes))
+        if meeting not in self._met:
+            self.until_known(node)
+            self._met.add(meeting)
 
     @contextmanager
     def sending(self, role: str, message: Any, every: float = 0.01) -> Iterator[None]:
@@ -320,11 +350,13 @@ class Rig:
         response = self.request("/ik_controller/get_parameters", GetParameters, request)
         return parameter_value_to_python(response.values[0])
 
-    def request(self, name: str, kind: Any, request: Any) -> Any:
+    def request(self, name: str, kind: Any, request: Any, node: str = "") -> Any:
+        """Call a service of a node, `<node>/...` where it is not said, and return its response."""
         if name not in self._clients:
             self._clients[name] = self._caller.create_client(kind, name)
         client = self._clients[name]
         self.until(client.service_is_ready, f"the service {name}")
+        self._meet(node or name.rpartition("/")[0])
         future = client.call_async(request)
 
         def answered() -> bool:

@@ -45,6 +45,7 @@ def tf(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     made.until_status("holding")
     made.transforms = made._listener.create_publisher(TransformStamped, "/test_tf", 10)
     made.until(made.transforms.get_subscription_count, "the listener of TF")
+    made.until_known("/ik_controller")
     yield made
     made.close()
 

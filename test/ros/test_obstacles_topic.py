@@ -32,7 +32,7 @@ def test_a_box_from_the_topic_stops_the_arm(rig: Rig) -> None:
 
     rig.start_sim("--rate", "200")
     node = rig.start_node(robot="panda", rate=200.0, obstacle_avoidance="true", command_timeout=10.0)
-    rig.until_commanding()
+    rig.until_status("holding")
     publisher = rig.publisher("target_pose")
     target = PoseStamped()
     target.header.frame_id = model.base_frame

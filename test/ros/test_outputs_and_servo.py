@@ -56,6 +56,7 @@ class Outputs:
         self.poses = node.create_publisher(PoseStamped, "/servo_node/pose_target_cmds", 10)
         for name in NODES:
             self.until(lambda name=name: self.heard[name], f"commands of {name}")
+            rig.until_known(f"/{name}")
 
     def listen(self) -> None:
         for name, subscription in self._inputs.items():
@@ -94,7 +95,7 @@ def codes(outputs: Outputs, condition: Any, what: str) -> None:
 
 
 def call(outputs: Outputs, name: str, kind: Any, request: Any) -> Any:
-    return outputs.rig.request(f"/servo_node/{name}", kind, request)
+    return outputs.rig.request(f"/servo_node/{name}", kind, request, "/servoing")
 
 
 def test_servo_clients_move_pause_and_go_on(outputs: Outputs) -> None:

@@ -28,9 +28,9 @@ class World:
         self.now = 100 * 1000 * MS
         self.arm = SimulatedArm(np.array(HOME))
         self.clock = rig._listener.create_publisher(Clock, "/clock", 100)
+        rig.until(self.clock.get_subscription_count, "a listener on the clock")
         self.states = rig.publisher("joint_states")
         self.twists = rig.publisher("target_twist")
-        rig.until(self.clock.get_subscription_count, "a listener on the clock")
 
     def tick(self, milliseconds: int = 10, speed: float = 0.0) -> None:
         """Go on by a step of simulated time, and listen to what the node makes of it."""
