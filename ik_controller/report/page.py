@@ -202,8 +202,9 @@ def tables(run: Run) -> list[dict[str, Any]]:
     model, info = run.timeline.session.model, run.info
     default = ControllerParameters().as_mapping()
     values = info.parameters.as_mapping()
-    parameters = [[name, _text(value), "" if value == default[name] else _text(default[name]) or "empty"]
-                  for name, value in values.items()]  # fmt: skip
+    own = [[name, _text(value), _text(default[name]) or "empty"]
+           for name, value in values.items() if value != default[name]]  # fmt: skip
+    others = [[name, _text(value) or "empty"] for name, value in values.items() if value == default[name]]
     limits = [
         [name, *(f"{value:.4g}" for value in row)]
         for name, *row in zip(
@@ -221,15 +222,18 @@ def tables(run: Run) -> list[dict[str, Any]]:
         *([assumption, ""] for assumption in model.assumptions),
     ]  # fmt: skip
     topics = [[topic.name, topic.type_name, "unknown" if topic.count is None else str(topic.count)]
-              for topic in run.bag.topics]  # fmt: skip
+              for topic in run.bag.topics if topic.count != 0]  # fmt: skip
+    silent = [topic.name for topic in run.bag.topics if topic.count == 0]
+    if silent:
+        topics.append(["without messages", ", ".join(silent), ""])
     return [
         {"title": "Model", "header": ["", ""], "rows": robot},
         {"title": "Joint limits [rad, rad/s, rad/s²; m for a sliding joint]",
          "header": ["joint", "lower", "upper", "velocity", "acceleration"], "rows": limits},
         {"title": "Software", "header": ["", "when recorded", "at this replay"], "rows": software},
         {"title": "Bag", "header": ["topic", "type", "messages"], "rows": topics},
-        {"title": "Parameters at the start", "header": ["name", "value", "default, where another"],
-         "rows": parameters},
+        {"title": "Parameters set at the start", "header": ["name", "value", "default"], "rows": own},
+        {"title": "Parameters at their defaults", "header": ["name", "value"], "rows": others},
     ]  # fmt: skip
 
 

@@ -84,9 +84,11 @@ def _held(run: Run) -> Fact:
     texts = []
     for lane in held[:2]:
         worst = f", down to {100.0 * lane.least_scale:.0f} %" if lane.least_scale < 0.995 else ""
-        texts.append(f"{lane.name}: {seconds(lane.cycles * dt)}{worst}")
+        texts.append(f"{seconds(lane.cycles * dt)}{worst}")
+    if len(held) > 1:
+        texts[1] = f"then {held[1].name}: {texts[1]}"
     if len(held) > 2:
-        texts.append(f"{len(held) - 2} more below")
+        texts.append(f"and {len(held) - 2} more")
     return Fact("Held back by", held[0].name, "; ".join(texts), False)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.errors import ParameterError, choices
+from ik_controller.parameter_file import read_yaml
 
 Array = NDArray[np.float64]
 
@@ -56,12 +57,7 @@ class JoyMapping:
 
 def load(path: str | Path) -> JoyMapping:
     """Read a mapping file. Raises ParameterError: missing, not YAML, unknown names, not (index, factor)."""
-    import yaml
-
-    try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ParameterError(f"mapping file '{path}' cannot be read: {' '.join(str(error).split())[:100]}") from None
+    content = read_yaml(path, "mapping file")
     if not isinstance(content, dict):
         raise ParameterError(f"mapping file '{path}' holds no mapping; it needs: {choices(_names())}")
     for name in content:

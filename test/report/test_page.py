@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import json
 import re
+import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from browser import Watched, browser
+from long_run import make_run
 
-from ik_controller.control.controller import Step
-from ik_controller.control.status import Code, Limit, Status
-from ik_controller.recording.replay import Cycle
-from ik_controller.recording.timeline import Lane, Timeline, collect
+from ik_controller.recording.timeline import Lane, collect
 from ik_controller.report.page import describe, page, write_page
 from ik_controller.report.summary import facts, headline, seconds, si
-from ik_controller.session import Session
 from ik_controller.share import bag_folder
 
 MEGABYTE = 1_000_000
@@ -164,53 +162,83 @@ def test_what_the_page_says_is_what_was_found(chromium, file, golden):
     done(watched, file)
 
 
-def long_run(robot, cycles):
-    """A run as long as that, made without the law: every signal moves, one cycle in the middle is far out."""
-    session = Session(robot.model, robot.parameters)
-    timeline = Timeline()
-    q0 = robot.home
-    random = np.random.default_rng(1).normal(size=(1000, 7))
+class Extremes:
+    """Keeps the smallest and largest value of every signal, taken from every cycle."""
 
-    def stream():
-        for k in range(cycles):
-            session.status = Status(Code.TRACKING, 1.0, Limit.NONE, -1, k % 1000 < 5, 0.1)
-            error = np.concatenate((1e-6 * random[k % 1000, :3], 1e-6 * random[k % 1000, 3:6]))
-            if k == cycles // 2:
-                error = np.full(6, 0.01)
-            swing = np.sin(0.0007 * k)
-            step = Step(q0 + 0.3 * swing, 0.2 * swing + 1e-3 * random[k % 1000], error, session.status)
-            yield Cycle(k, k * 1_000_000, int(1e4 * abs(random[k % 1000, 0])), 150_000, step, None)
+    def begin(self, signals):
+        self.names = list(signals.names)
+        self.low, self.high = np.full(len(self.names), np.inf), np.full(len(self.names), -np.inf)
 
-    for _ in timeline.watch(stream(), session):
-        pass
-    return timeline
+    def take(self, rows, states):
+        self.low = np.fmin(self.low, np.fmin.reduce(rows, axis=0))
+        self.high = np.fmax(self.high, np.fmax.reduce(rows, axis=0))
 
 
-@pytest.mark.parametrize("cycles", [40_000, pytest.param(600_000, marks=pytest.mark.soak)])
-def test_a_long_run_stays_small_and_keeps_its_peak(cycles, golden, panda, chromium, tmp_path):
-    timeline = long_run(panda, cycles)
+OPENED = """() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(
+  () => done(performance.now()))))"""  # [ms] since the navigation began, after a frame with everything was painted
+REACTIONS = """async () => {
+  const painted = () => new Promise((done) => requestAnimationFrame(() => setTimeout(done)));
+  const slider = document.getElementById('slider'), found = {slider: [], zoom: [], theme: []};
+  const timed = async (what, act) => {
+    const begin = performance.now();
+    act();
+    await painted();
+    found[what].push(performance.now() - begin);
+  };
+  for (let k = 0; k < 20; k++) await timed('slider', () => {
+    slider.value = Math.round((k * 7 % 20) / 20 * run.rows);
+    slider.dispatchEvent(new Event('input'));
+  });
+  for (let k = 0; k < 3; k++) {
+    const from = 0.1 * k * run.duration;
+    await timed('zoom', () => page.charts[2].plot.setScale('x', {min: from, max: from + 0.1 * run.duration}));
+    await timed('zoom', () => document.getElementById('whole').click());
+    await timed('theme', () => document.getElementById('theme').click());
+  }
+  return found;
+}"""
+
+
+@pytest.mark.parametrize("seconds", [20.0, pytest.param(600.0, marks=pytest.mark.soak)])
+def test_a_long_run_stays_small_keeps_its_peaks_and_opens_at_once(seconds, chromium, tmp_path):
+    begin = time.monotonic()
+    bag = make_run(tmp_path / "run", seconds)
+    made = time.monotonic()
+    extremes = Extremes()
+    collected = collect(bag, sinks=[extremes])
     file = tmp_path / "long.html"
-    write_page(replace(golden, timeline=timeline), file)
+    write_page(collected, file)
+    written = time.monotonic()
+    assert collected.replay.identical
     assert file.stat().st_size < 15 * MEGABYTE
     watched = opened(chromium, file)
     look = watched.page.evaluate
+    painted = look(OPENED)
     assert look("run.bucket") > 1
-    assert look("Math.max(...columns.position_error_m.high)") == pytest.approx(0.01 * 3**0.5, rel=1e-6)
     assert (
         f"{look('run.rows')} columns of {look('run.bucket')} cycles" in watched.page.locator("#sampling").inner_text()
     )
-    moved = watched.page.evaluate("""() => {
-      const begin = performance.now();
-      for (let k = 0; k < 20; k++) page.show(k * 300);
-      return (performance.now() - begin) / 20;
-    }""")
-    print(f"{cycles} cycles: {file.stat().st_size / MEGABYTE:.1f} MB, {moved:.1f} ms to move the cursor")
+    for name, low, high in zip(extremes.names, extremes.low, extremes.high, strict=True):
+        drawn = "name => columns[name] && ['low', 'high'].map((k) => columns[name][k].filter(Number.isFinite))"
+        drawn = look(
+            f"(name) => ({drawn})(name)?.map((v, i) => v.reduce((a, b) => i ? Math.max(a, b) : Math.min(a, b)))", name
+        )
+        if name != "time_s" and not name.startswith(("tool_", "target_")) and np.isfinite(low):
+            np.testing.assert_array_equal(np.float32(drawn), np.float32((low, high)), name)
+    reactions = look(REACTIONS)
+    told = ", ".join(f"{what} {np.median(ms):.0f} ms (at most {max(ms):.0f})" for what, ms in reactions.items())
+    print(
+        f"\n{seconds:.0f} s at 1 kHz: recorded in {made - begin:.0f} s, reported in {written - made:.0f} s: "
+        f"{file.stat().st_size / MEGABYTE:.1f} MB; painted after {painted:.0f} ms; reacts: {told}"
+    )
     done(watched, file)
 
 
-def test_a_run_of_the_demos_length_is_below_five_megabytes(golden, panda):
-    text = page(replace(golden, timeline=long_run(panda, 12_600)))
-    assert len(text.encode()) < 5 * MEGABYTE
+def test_a_run_of_the_demos_length_is_below_five_megabytes(tmp_path):
+    collected = collect(make_run(tmp_path / "run", 12.6))
+    size = len(page(collected).encode())
+    assert collected.timeline.envelope.size == 1  # every cycle
+    assert size < 5 * MEGABYTE
 
 
 def test_text_of_a_bag_cannot_become_code(golden):

@@ -72,7 +72,7 @@ def test_deadzone_has_no_step_and_bad_values_move_nothing():
         ("speed: 1", "linear_speed"),
         ("deadzone: 2", "deadzone"),
         ("- 1", "axes"),
-        ("{", "cannot be read"),
+        ("{", "is not YAML"),
     ],
 )
 def test_mistakes_in_a_mapping_are_named(tmp_path, text, named):

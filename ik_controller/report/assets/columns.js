@@ -78,3 +78,9 @@ function element(tag, parent, text, kind) {
   if (parent) parent.append(made);
   return made;
 }
+
+// Let a long name end its line behind a slash or an underscore; unlike a zero-width space, copying it changes nothing.
+function breakable(cell) {
+  const parts = cell.textContent.split(/(?<=[/_])/);
+  cell.replaceChildren(...parts.flatMap((part, i) => (i ? [document.createElement("wbr"), part] : [part])));
+}

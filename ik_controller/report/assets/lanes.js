@@ -1,7 +1,9 @@
 // One line for each thing that the arm did or that held it back, filled where it was so.
 class Lanes {
   constructor(host, onHover) {
-    this.lanes = run.lanes.map((lane, number) => {
+    const order = run.lanes.map((lane, number) => [lane, number]) // what it did, then what held it back, the longest first
+      .sort(([a], [b]) => a.held - b.held || b.seconds - a.seconds);
+    this.lanes = order.map(([lane, number]) => {
       const row = element("div", host, null, lane.held ? "lane held" : "lane");
       element("span", row, lane.name, "label");
       const bar = element("span", row, null, "bar"), canvas = element("canvas", bar), at = element("i", bar, null, "at");

@@ -11,8 +11,8 @@ const page = (() => {
   for (const fact of run.facts) {
     const box = element("div", get("facts"), null, fact.good == null ? "fact" : fact.good ? "fact good" : "fact bad");
     element("div", box, fact.name, "name");
-    element("div", box, fact.value, "value");
-    element("div", box, fact.text, "text");
+    element("div", box, fact.value, fact.value.length > 18 ? "value words" : "value");
+    element("div", box, fact.text.replace(/(\d) (?=[a-zµ%])/g, "$1\u00a0"), "text"); // a number keeps its unit
   }
   for (const [at, text] of run.events) element("li", get("events"), `${at.toFixed(2)} s  ${text}`);
   if (run.rejected) element("li", get("events"), `${run.rejected} messages were rejected, the last: ${run.last_rejected}`);
@@ -20,15 +20,14 @@ const page = (() => {
     ? `${run.cycles} cycles, drawn in ${run.rows} columns of ${run.bucket} cycles (${short(1e3 * run.bucket * run.dt)} ms). Each column shows the smallest and the largest value in it, so no peak is lost; path and arm show its first cycle. For every number: ik_controller report BAG --csv FILE.`
     : `${run.cycles} cycles, every one of them drawn.`;
   for (const { title, header, rows } of run.tables) {
-    const box = element("details", get("tables"), null, "table");
-    box.open = rows.length < 25;
+    const long = rows.length > 24, box = element("details", get("tables"), null, long ? "table long" : "table");
+    box.open = !long;
     element("summary", box, title);
-    const table = element("table", box);
+    const table = element("table", element("div", box, null, "rows"));
     if (header.some(Boolean)) header.forEach((text) => element("th", table.tHead?.rows[0] || table.createTHead().insertRow(), text));
     for (const row of rows) {
       const line = element("tr", table);
-      row.forEach((text, i) => element("td", line, text, i === 0 && text.length > 40 ? "wide" : /^-?[\d.]+$/.test(text) ? "count" : ""));
-      if (header[2]?.startsWith("default") && row[2]) line.className = "changed";
+      row.forEach((text, i) => breakable(element("td", line, text, i === 0 && text.length > 40 ? "wide" : /^-?[\d.]+$/.test(text) ? "count" : "")));
       if (header[2] === "at this replay" && row[2] !== "the same") line.className = "changed";
     }
   }
@@ -93,7 +92,7 @@ const page = (() => {
     before = { theme: root.dataset.theme, open: [...document.querySelectorAll("details")].map((d) => d.open) };
     setTheme("light");
     document.querySelectorAll("details").forEach((d) => { d.open = true; });
-    for (const chart of charts) chart.resize(325, 150);
+    for (const chart of charts) chart.resize(322, 128);
     redraw();
   });
   addEventListener("afterprint", () => {

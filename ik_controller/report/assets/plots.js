@@ -17,9 +17,8 @@ class Chart {
     element("span", head, spec.note, "note");
     if (spec.log) this.button(head, () => (this.log ? "linear" : "logarithmic"), () => { this.log = !this.log; });
     if (this.relative) this.button(head, () => (this.relative ? `in ${this.series[0].unit}` : "in % of limit"), () => { this.relative = !this.relative; });
-    this.legend = element("div", this.box, null, "legend");
+    this.legend = element("div", this.box, null, spec.log ? "legend few" : run.bucket > 1 ? "legend spans" : "legend");
     this.numbers = this.series.map((s, i) => {
-      if (this.series.length === 1) { this.legend.append(element("span", null, "")); }
       const button = element("button", this.legend, s.label);
       button.type = "button";
       button.style.setProperty("--color", `var(--c${i % 8})`);
@@ -54,19 +53,16 @@ class Chart {
   make() {
     const { spec } = this, [factor, unit] = this.axisUnit(), banded = run.bucket > 1;
     this.factor = factor; this.unit = unit;
-    const data = [time], series = [{}], bands = [];
+    const data = [time], series = [{}];
     this.series.forEach((s, i) => {
       const { low, high } = columns[s.column];
       const scaled = factor == null ? (v) => 100 * (v - s.center) / s.half : (v) => v / factor;
       const [a, b] = this.log ? [plain(low, high, scaled, Math.min), plain(low, high, scaled, Math.max)]
         : [plain(low, low, scaled, null), banded ? plain(high, high, scaled, null) : null];
-      const stroke = () => colour(`--c${i % 8}`);
-      const style = { stroke, width: 1.4, show: this.shown[i], points: { show: false }, spanGaps: false };
-      data.push(this.log && banded ? b : banded ? b : a); series.push(style);
-      if (banded) {
-        data.push(a); series.push({ ...style, width: 1 });
-        bands.push({ series: [data.length - 2, data.length - 1], fill: () => colour(`--c${i % 8}`) + "55" });
-      }
+      const ink = () => colour(`--c${i % 8}`), style = { show: this.shown[i], points: { show: false }, spanGaps: false };
+      if (banded) { // the lows are only there for the scale
+        data.push(b, a); series.push({ ...style, stroke: ink, fill: ink, width: 1, paths: band }, { ...style, paths: () => null });
+      } else { data.push(a); series.push({ ...style, stroke: ink, width: 1.4 }); }
     });
     this.guides = (spec.guides || []).map((g) => ({ value: g.value / (factor || 1), label: g.label }));
     if (factor == null) this.guides = [{ value: 100, label: "limit" }, { value: -100, label: "" }];
@@ -75,7 +71,7 @@ class Chart {
       width: Math.max(this.host.clientWidth, 200), height: this.height || HEIGHT, padding: [8, 12, 0, 0],
       legend: { show: false },
       cursor: { x: false, y: false, points: { show: false }, drag: { x: true, y: false } },
-      series, bands,
+      series,
       scales: { x: { time: false }, y: this.scale(data) },
       axes: [
         { ...axis, size: 26, gap: 2, values: (u, ticks) => ticks.map((t, i) => (i === ticks.length - 1 ? `${+t.toFixed(4)} s` : +t.toFixed(4))) },
@@ -157,6 +153,35 @@ class Chart {
   }
 
   redraw() { this.plot.redraw(false, true); }
+}
+
+// The path of a band between the highs of series i and the lows behind them: one outline, a point a pixel at most. It is
+// never thinner than a line.
+function band(u, i, first, last) {
+  const [times, highs, lows] = [u.data[0], u.data[i], u.data[i + 1]], path = new Path2D(), thin = 0.6 * uPlot.pxRatio;
+  let points = [];
+  const close = () => {
+    points.forEach(([x, top], k) => (k ? path.lineTo(x, top) : path.moveTo(x, top)));
+    for (let k = points.length - 1; k >= 0; k--) path.lineTo(points[k][0], points[k][2]);
+    if (points.length) path.closePath();
+    points = [];
+  };
+  for (let k = first; k <= last; k++) {
+    if (highs[k] == null || lows[k] == null) { close(); continue; }
+    const x = Math.round(u.valToPos(times[k], "x", true)), before = points[points.length - 1];
+    let [top, bottom] = [u.valToPos(highs[k], "y", true) - thin, u.valToPos(lows[k], "y", true) + thin];
+    if (before?.[0] === x) {
+      before[1] = Math.min(before[1], top); before[2] = Math.max(before[2], bottom);
+      continue;
+    }
+    if (before && x - before[0] < 2) { // steep: from pixel to pixel without a break
+      top = Math.min(top, before[2]); bottom = Math.max(bottom, before[1]);
+    }
+    points.push([x, top, bottom]);
+  }
+  close();
+  const sparse = (last - first) * uPlot.pxRatio < 0.5 * u.bbox.width;
+  return { stroke: sparse ? path : null, fill: path };
 }
 
 // A column for uPlot: gaps are null.

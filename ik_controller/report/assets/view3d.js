@@ -6,6 +6,7 @@ class Scene {
     this.paths = ["target", "tool"].map((what) => this.path(what));
     this.bucket = 0;
     this.home();
+    new ResizeObserver(() => this.draw()).observe(canvas);
     const drag = { on: false };
     canvas.addEventListener("pointerdown", (e) => { drag.on = true; [drag.x, drag.y] = [e.clientX, e.clientY]; canvas.setPointerCapture(e.pointerId); });
     canvas.addEventListener("pointerup", () => { drag.on = false; });
