@@ -67,6 +67,7 @@ class Targets:
         self._times: list[int] = []
         # (time, stamp, twist, the point that it is the velocity of or None for the tool) in the order of arrival
         self._twists: list[tuple[int, int, Array, Array | None]] = []
+        self._newest_twist = -1  # no twist has a later stamp [ns]
         self._acceleration: Array | None = None
         self._trajectory = False
         self._take_over()
@@ -101,7 +102,9 @@ class Targets:
         self._take_over()
         time = self._own_time("pose", stamp, arrival)
         stamp = stamp or arrival
-        twist = next((entry[2] for entry in reversed(self._twists) if entry[1] == stamp), None)
+        twist = None
+        if stamp <= self._newest_twist:  # most often its twist comes after it
+            twist = next((entry[2] for entry in reversed(self._twists) if entry[1] == stamp), None)
         self._insert(_Sample(time, stamp, position, rotation, twist))
         count = len(self._samples)
         if count > _MOST or (count > _KEPT and self._times[1] <= arrival - self._delay):
@@ -120,6 +123,7 @@ class Targets:
         if self._twists and self._twists[-1][1] == stamp:
             self._twists.pop()  # a repeated stamp: the later message counts
         self._twists.append((time, stamp, twist, point))
+        self._newest_twist = max(self._newest_twist, stamp)
         del self._twists[:-_KEPT]
         self._acceleration = self._estimate_acceleration()
         for sample in reversed(self._samples[-_KEPT:]):
@@ -271,6 +275,7 @@ class Targets:
             (time, stamp, np.array(twist), np.array(point[0]) if point and point[0] is not None else None)
             for time, stamp, twist, *point in state["twists"]  # runs of version 0.1 have no point
         ]
+        self._newest_twist = max((entry[1] for entry in self._twists), default=-1)
         self._acceleration = self._estimate_acceleration()
         self._trajectory = bool(state["trajectory"])
         joints = state["joints"]

@@ -140,6 +140,11 @@ def joint_order(wanted: Sequence[str], names: list[str]) -> list[int]:
     return [names.index(name) for name in wanted]
 
 
+def _parts(*sizes: tuple[int, int]) -> struct.Struct:
+    """Return what takes parts out of a message's bytes: of each the size, and how much is left out behind it."""
+    return struct.Struct("<" + "".join(f"{size}s{gap}x" for size, gap in sizes))
+
+
 class StampedReader:
     """Reads stamp, frame and the numbers behind them of PoseStamped or TwistStamped messages."""
 
@@ -193,23 +198,16 @@ class JointStateReader:
         self._at = 0
         self._order: NDArray[np.intp] | None = None  # None: as in the message, all of them
         self._count = 0
-        self._learned = (b"", b"", b"", b"")  # header, frame and names, with all counts
-        self._behind = self._efforts = 0  # where the last two of them are
+        self._parts = struct.Struct("")  # header, frame and names, with all counts: all but stamp and numbers
+        self._learned: tuple[bytes, ...] = ()
 
     def read(self, data: bytes) -> Array | None:
         """Return positions (n,) [rad or m] in the order of the joint names; None where none of them is in the message.
 
         Raises MessageError: names missing or doubled, arrays of the wrong length, a value that is not finite.
         """
-        # Is all but stamp and numbers as in the message learned from? Spelled out, because this runs every cycle.
-        is_at, (first, second, third, fourth) = data.startswith, self._learned
-        known = (
-            len(data) == self._length
-            and is_at(first)
-            and is_at(second, 12)
-            and is_at(third, self._behind)
-            and is_at(fourth, self._efforts)
-        )
+        # Is all but stamp and numbers as in the message learned from?
+        known = len(data) == self._length and self._parts.unpack(data) == self._learned
         if not known and not self._learn(data):
             return None
         values: Array = np.frombuffer(data, _NUMBER, self._count, self._at)
@@ -241,8 +239,8 @@ class JointStateReader:
         efforts = behind + 4
         if len(content.velocity):
             efforts += (4 - efforts) % 8 + 8 * len(content.velocity)
-        self._learned = data[:4], data[12:end], data[behind : behind + 4], data[efforts : efforts + 4]
-        self._behind, self._efforts = behind, efforts
+        self._parts = _parts((4, 8), (end - 12, behind - end), (4, efforts - behind - 4), (4, len(data) - efforts - 4))
+        self._learned = self._parts.unpack(data)
         self._length = len(data)
         return True
 
@@ -258,14 +256,11 @@ class JointStateWriter:
         after = self._position + 8 * n + 4
         self._velocity = after + (4 - after) % 8
         self._size = 8 * n
-        self._behind, self._end = after - 4, self._velocity + 8 * n
-        buffer = bytes(self._buffer)
-        self._fixed = (
-            buffer[:4],
-            buffer[12 : self._position],
-            buffer[self._behind : self._velocity],
-            buffer[self._end :],
-        )
+        at, end = self._position, self._velocity + 8 * n
+        # header, stamp, all up to the positions, those, all up to the velocities, those, the rest
+        sizes = (at - 12, 8 * n, self._velocity - after + 4, 8 * n, len(self._buffer) - end)
+        self._parts = struct.Struct("<4siI" + "".join(f"{size}s" for size in sizes))
+        self._fixed = self._parts.unpack(self._buffer)
 
     def write(self, stamp: int, position: Array, velocity: Array) -> bytes:
         """Return the message's bytes; `stamp` [ns], position (n,) [rad or m], velocity (n,) [rad/s or m/s]."""
@@ -277,17 +272,11 @@ class JointStateWriter:
 
     def wrote(self, data: bytes, stamp: int, position: Array, velocity: Array) -> bool:
         """Tell whether `data` is what `write` returns for the same arguments, to the bit, without writing it again."""
-        is_at, (first, second, third, fourth) = data.startswith, self._fixed
-        return (
-            len(data) == len(self._buffer)
-            and is_at(position.tobytes(), self._position)
-            and is_at(velocity.tobytes(), self._velocity)
-            and _STAMP.unpack_from(data, 4) == divmod(stamp, _SECOND)
-            and is_at(first)
-            and is_at(second, 12)
-            and is_at(third, self._behind)
-            and is_at(fourth, self._end)
-        )
+        if len(data) != self._parts.size:
+            return False
+        head, _, _, names, _, count, _, rest = self._fixed
+        written = (head, *divmod(stamp, _SECOND), names, position.tobytes(), count, velocity.tobytes(), rest)
+        return self._parts.unpack(data) == written
 
     def positions(self, data: bytes) -> Array:
         """Return the positions (n,) in a message that `write` made."""

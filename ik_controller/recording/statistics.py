@@ -10,33 +10,44 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+_BLOCK = 256  # errors that are summed up at a stretch
+
+
 class ErrorStatistics:
     """Sums up tracking errors (6,) (position [m], rotation [rad])."""
 
     def __init__(self) -> None:
-        self.count = 0
-        self._squares = [0.0, 0.0]
-        self._largest = [0.0, 0.0]
+        self._waiting: list[Array] = []
+        self._count = 0
+        self._squares = np.zeros(2)
+        self._largest = np.zeros(2)
 
     def add(self, error: Array) -> None:
         """Take one cycle's error; one that is exactly zero means that there was no pose to follow, and is left out."""
-        x, y, z, a, b, c = error.tolist()  # plain floats: six numbers are too few for NumPy
-        position, rotation = x * x + y * y + z * z, a * a + b * b + c * c
-        if position == 0.0 and rotation == 0.0:
-            return
-        self.count += 1
-        self._squares[0] += position
-        self._squares[1] += rotation
-        if position > self._largest[0]:
-            self._largest[0] = position
-        if rotation > self._largest[1]:
-            self._largest[1] = rotation
+        self._waiting.append(error)
+        if len(self._waiting) == _BLOCK:
+            self._sum_up()
+
+    def _sum_up(self) -> None:
+        if self._waiting:
+            squares = np.square(np.concatenate(self._waiting)).reshape(-1, 2, 3).sum(axis=2)
+            self._waiting = []
+            self._count += int(squares.any(axis=1).sum())
+            self._squares += squares.sum(axis=0)
+            self._largest = np.fmax(self._largest, squares.max(axis=0))
+
+    @property
+    def count(self) -> int:
+        """How many errors there were."""
+        self._sum_up()
+        return self._count
 
     def as_mapping(self) -> dict[str, float | None]:
         """Return position_rms_m, position_max_m, orientation_rms_rad, orientation_max_rad; None without any error."""
+        some = self.count > 0
         result: dict[str, float | None] = {}
         for part, (name, unit) in enumerate((("position", "m"), ("orientation", "rad"))):
-            some = self.count > 0
-            result[f"{name}_rms_{unit}"] = math.sqrt(self._squares[part] / self.count) if some else None
-            result[f"{name}_max_{unit}"] = math.sqrt(self._largest[part]) if some else None
+            square, largest = self._squares.item(part), self._largest.item(part)
+            result[f"{name}_rms_{unit}"] = math.sqrt(square / self.count) if some else None
+            result[f"{name}_max_{unit}"] = math.sqrt(largest) if some else None
         return result

@@ -191,7 +191,7 @@ def _replay() -> list[dict[str, Any]]:
     return [_row("replay, a cycle", times, [1000.0] * len(times), "1 kHz real time")]
 
 
-class _Graph:
+class Graph:
     """Processes over DDS, alone on this host, all ended with the `with` block."""
 
     def __init__(self, commands: dict[str, list[str]]) -> None:
@@ -221,7 +221,7 @@ class _Graph:
         fields = Path(f"/proc/{self.processes[name].pid}/stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()
         return (int(fields[11]) + int(fields[12])) / _TICKS
 
-    def __enter__(self) -> _Graph:
+    def __enter__(self) -> Graph:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -231,7 +231,7 @@ class _Graph:
             process.communicate()
 
 
-def _run_of_node(folder: str, record: bool) -> dict[str, list[str]]:
+def run_of_node(folder: str, record: bool) -> dict[str, list[str]]:
     """Return the commands of a node at 1 kHz, its simulated arm, and who sends it targets."""
     settings = ["-p", "robot:=panda", "-p", f"record_folder:={folder}", "-p", f"record:={str(record).lower()}"]
     return {
@@ -245,7 +245,7 @@ def _node(seconds: float) -> list[dict[str, Any]]:
     """Run sim, node, relay and sleep loop at once; compare processor time and the period's 99th percentile."""
     with tempfile.TemporaryDirectory() as folder:
         beside = {name: ["ik_controller.ros.baseline", name] for name in ("relay", "listen", "sleep")}
-        with _Graph({**_run_of_node(folder, record=True), **beside}) as graph:
+        with Graph({**run_of_node(folder, record=True), **beside}) as graph:
             time.sleep(6.0)  # until all have started and found each other
             shares = []
             for _ in range(_WINDOWS):  # the machine's speed drifts: the ratio is taken window by window
@@ -279,7 +279,7 @@ def _recording() -> list[dict[str, Any]]:
     """Switch a node's recording on and off in turns; compare processor time and the period's 99th percentile."""
     shares: dict[str, list[float]] = {"on": [], "off": []}
     periods: dict[str, list[float]] = {"on": [], "off": []}
-    with tempfile.TemporaryDirectory() as folder, _Graph(_run_of_node(folder, record=False)) as graph:
+    with tempfile.TemporaryDirectory() as folder, Graph(run_of_node(folder, record=False)) as graph:
         said = graph.start("switch", ["ik_controller.ros.baseline", "switch", str(_WINDOWS)]).stdout
         assert said is not None
         while state := said.readline().decode().strip():
