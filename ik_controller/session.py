@@ -21,6 +21,7 @@ from ik_controller.control.reference import Reference
 from ik_controller.control.status import Code, Status
 from ik_controller.control.targets import Targets
 from ik_controller.errors import IkControllerError, MessageError, ModelError, choices
+from ik_controller.kinematics.collision_world import sphere
 from ik_controller.kinematics.model import RobotModel, pose_from
 from ik_controller.messages.cdr import (
     JOINT_STATE,
@@ -37,11 +38,32 @@ from ik_controller.robots import with_tool
 
 Array = NDArray[np.float64]
 
-# Turns the stack of tasks on: a user may in motion, and it must not be compiled then.
+# What a user may switch on in motion, and must not be compiled then: the stack of tasks, or inverses by name; beside
+# them bounds of the tool, scales, and what keeps off obstacles, which are all too near here.
 _IN_STACK = {
     "task_tolerance": 1e-3,
     "inverse": "numerical_filtering",
     "orientation_error": "exponential_base",
+}
+_BY_NAME = {
+    "inverse": "damped",
+    "task_axes": "xyzrpy",
+    "task_frame": "base",
+    "task_tolerance": (),
+    "secondary_tasks": (),
+    "secondary_targets": (),
+    "secondary_gains": (),
+    "objectives": (),
+    "objective_gains": (),
+    "joint_weights": (),
+}
+_BOUNDED = {
+    "tool_linear_speed": 0.01,
+    "tool_linear_acceleration": 0.1,
+    "acceleration_scale": 0.5,
+    "minimum_distance": 1.0,
+    "self_minimum_distance": 1.0,
+    "influence_distance": 2.0,
 }
 
 EVENTS = ("pause", "resume", "reset", "clock", "parameters", "refuse", "transform", "state")
@@ -249,19 +271,33 @@ class Session:
         return Reference(twist=np.concatenate((v + np.cross(w, lever), w)))
 
     def warm_up(self) -> None:
-        """Go once through every kind of cycle in a scratch session: what compiles or is worked out on first use is done
+        """Go once through every kind of cycle in scratch sessions: what compiles or is worked out on first use is done
         before the first deadline, and this session is left as it is.
         """
+        rest = np.clip(self.model.middle() + 0.1, self.model.lower, self.model.upper)
+        at_bounds = np.where(np.isfinite(self.model.upper), self.model.upper, rest)
+        second = {
+            "secondary_tasks": (f"position {self.model.tip_frame}",),
+            "secondary_targets": (0.0, 0.0, 0.0),
+            "secondary_gains": (),
+        }
+        for changes in ({}, _IN_STACK, {**_BOUNDED, **_BY_NAME}, {**_BOUNDED, **_IN_STACK, **second}):
+            for q in (rest, at_bounds):
+                self._rehearse(self.parameters.replace({"mode": "auto", **changes}), q)
+
+    def _rehearse(self, parameters: ControllerParameters, q: Array) -> None:
+        """Follow every kind of target in a scratch session whose arm is at q (n,), brake, pause and fault."""
         model = self.model
-        scratch = Session(model, self.parameters, self.controller.scene.copy())
-        q = np.clip(model.middle() + 0.1, model.lower, model.upper)
+        scratch = Session(model, parameters, self.controller.scene.copy())
+        if scratch.controller.scene.world_watched:
+            scratch.controller.scene.world.put("rehearsal", sphere(0.1))
         state = JointStateWriter(model.joint_names).write(0, q, np.zeros(model.n))
         pose = model.forward(q)
-        far = pin.SE3(pose.rotation, pose.translation + 0.5)
         targets = (
             ("target_pose", pose_message(0, model.base_frame, pose)),
             *[("target_twist", twist_message(0, model.base_frame, np.full(6, 1e-3 * k))) for k in (1, 2, 3)],
-            ("target_pose", pose_message(0, model.base_frame, far)),
+            ("target_pose", pose_message(0, model.base_frame, pin.SE3(pose.rotation, pose.translation + 0.5))),
+            ("target_pose", pose_message(0, model.base_frame, model.forward(q + 0.2))),
             ("target_joints", state),
         )
         now = 1
@@ -271,12 +307,6 @@ class Session:
             for _ in range(3):
                 scratch.cycle(now)
                 now += self.period
-        scratch.set_parameters(self.parameters.replace(_IN_STACK))
-        for role, data in targets[:1]:
-            scratch.take("joint_states", state, now)
-            scratch.take(role, data, now)
-            scratch.cycle(now)
-            now += self.period
         scratch.apply('{"do": "pause"}')
         scratch.cycle(now)
         scratch.controller.halt("rehearsal")

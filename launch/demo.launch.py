@@ -1,25 +1,37 @@
 """A simulated arm, the node and a target streamer; everything stops when the targets have been sent.
 
 ros2 launch ik_controller demo.launch.py robot:=panda targets:=BAG rate:=1000
+ros2 launch ik_controller demo.launch.py view:=true
 """
 
+from typing import Any
+
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, EmitEvent, ExecuteProcess, RegisterEventHandler
+from launch.actions import DeclareLaunchArgument, EmitEvent, RegisterEventHandler
+from launch.conditions import IfCondition, UnlessCondition
 from launch.event_handlers import OnProcessExit
 from launch.events import Shutdown
 from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
-from launch_ros.substitutions import ExecutableInPackage, FindPackageShare
+from launch_ros.substitutions import FindPackageShare
 
 PACKAGE = "ik_controller"
 
 
+def verb(*words: Any, **options: Any) -> Node:
+    """Return a verb of the command line as a process, in the namespace of all."""
+    namespace = LaunchConfiguration("namespace")
+    return Node(
+        package=PACKAGE, executable=PACKAGE, arguments=list(words), namespace=namespace, output="screen", **options
+    )
+
+
 def generate_launch_description() -> LaunchDescription:
-    """Return the three processes and the arguments robot, targets and rate."""
+    """Return the processes and the arguments."""
     robot, targets, rate = LaunchConfiguration("robot"), LaunchConfiguration("targets"), LaunchConfiguration("rate")
+    view, port = LaunchConfiguration("view"), LaunchConfiguration("port")
     share = FindPackageShare(PACKAGE)
-    command = ExecutableInPackage(PACKAGE, PACKAGE)
     arguments = [
         DeclareLaunchArgument("robot", default_value="panda", description="Bundled robot: panda or ur5e."),
         DeclareLaunchArgument(
@@ -28,20 +40,31 @@ def generate_launch_description() -> LaunchDescription:
             description="Bag of target poses and twists to stream; the robot's own figure-eight unless given.",
         ),
         DeclareLaunchArgument("rate", default_value="1000.0", description="Control cycles a second, 100 to 1000 [Hz]."),
+        DeclareLaunchArgument("namespace", default_value="", description="Namespace of all processes."),
+        DeclareLaunchArgument(
+            "view",
+            default_value="false",
+            description="Serve the live page too (true or false); the targets are then repeated until Ctrl-C.",
+        ),
+        DeclareLaunchArgument("port", default_value="8080", description="Port of the live page on this machine."),
     ]
-    arm = ExecuteProcess(cmd=[command, "sim", "--robot", robot], name="arm", output="screen")
+    arm = verb("sim", "--robot", robot)
     node = Node(
         package=PACKAGE,
         executable="ik_controller_node",
         name="ik_controller",
+        namespace=LaunchConfiguration("namespace"),
         parameters=[
             PathJoinSubstitution([share, "config", robot, "parameters.yaml"]),
             {"rate": ParameterValue(rate, value_type=float)},
         ],
         output="screen",
     )
-    streamer = ExecuteProcess(cmd=[command, "stream", targets, "--patience", "60"], name="streamer", output="screen")
+    stream = ("stream", targets, "--patience", "300")  # the very first run compiles
+    once = verb(*stream, condition=UnlessCondition(view))
+    again = verb(*stream, "--loop", condition=IfCondition(view))
+    page = verb("view", "--port", port, condition=IfCondition(view))
     end = RegisterEventHandler(
-        OnProcessExit(target_action=streamer, on_exit=[EmitEvent(event=Shutdown(reason="all targets sent"))])
+        OnProcessExit(target_action=once, on_exit=[EmitEvent(event=Shutdown(reason="all targets sent"))])
     )
-    return LaunchDescription([*arguments, end, arm, node, streamer])
+    return LaunchDescription([*arguments, end, arm, node, once, again, page])

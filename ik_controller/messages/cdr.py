@@ -211,8 +211,8 @@ class JointStateReader:
         if not known and not self._learn(data):
             return None
         values: Array = np.frombuffer(data, _NUMBER, self._count, self._at)
-        if self._order is not None:
-            values = values[self._order]
+        # A copy in either case: kernels are compiled for plain arrays, not for read-only or unaligned ones.
+        values = values.copy() if self._order is None else values[self._order]
         if not math.isfinite(values.dot(values)):  # or its square overflows: no joint is there either
             index = int(np.argmax(np.fmax(np.abs(values), np.where(np.isnan(values), np.inf, 0.0))))
             raise MessageError(f"position of '{self._names[index]}' is {values[index]}: need finite values")

@@ -233,9 +233,9 @@ class Rig:
                     self.heard[role].append(taken[0])
                     self.arrivals[role].append(time.time_ns())
 
-    def until(self, condition: Callable[[], Any], what: str = "") -> Any:
+    def until(self, condition: Callable[[], Any], what: str = "", patience: float = PATIENCE) -> Any:
         """Listen until a condition holds and return its value; fail at the deadline, with the processes' words."""
-        by = time.monotonic() + PATIENCE
+        by = time.monotonic() + patience
         while True:
             self.listen()
             value = condition()
