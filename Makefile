@@ -24,7 +24,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --no-input --quiet insta
 # Bytecode on all cores and without the libraries' own tests takes half of pip's time.
 COMPILE := $(BIN)/python -m compileall -q -q -j 0 -x '/tests?/' $(VENV)/lib
 
-.PHONY: demo view test soak lint bench bench-peers docs install clean help
+.PHONY: demo view test soak repeat lint bench bench-peers docs install clean help
 
 demo: $(KERNELS)  ## the main job: simulated arm, node and target streamer over DDS, recorded, replayed, drawn
 	@$(BIN)/ik_controller demo
@@ -37,6 +37,9 @@ test: $(KERNELS) $(DEV)  ## the test suite
 
 soak: $(KERNELS) $(DEV)  ## checks too long for every day
 	@$(BIN)/python -m pytest -m soak
+
+repeat: $(KERNELS) $(DEV)  ## every test over DDS 20 times in a row, with two busy processes beside it
+	@$(BIN)/python scripts/repeat_tests.py --times 20 --load 2 test/ros
 
 lint: $(READY) $(DEV)  ## ruff and mypy
 	@$(BIN)/ruff check .
