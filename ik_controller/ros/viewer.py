@@ -5,6 +5,7 @@ topics, services and parameters that everybody has; the node does not know of it
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import threading
 import time
@@ -48,6 +49,7 @@ _RATE = 50.0  # [Hz] of drag targets and of looking for messages
 _REDRAW = 0.04  # [s] between two pictures of the arm
 _SETTLE = 2.0  # [s] after letting go in which the target stays, so that the arm arrives
 _ARRIVED = 1e-4  # [m and rad] from the target
+_NICE = 5  # a picture may wait, a control loop on the same machine may not
 _SILENT = 1.0  # [s] without status after which the node is taken for gone
 
 _FACTS = {
@@ -291,6 +293,7 @@ def _beside(target: str, topic: str) -> str:
 
 def view(target: str, title: str, dark: bool, opened: Any, ros_arguments: list[str]) -> None:
     """Serve the page of the node `target` until SIGINT or SIGTERM; `opened(page)` is called once it is served."""
+    os.nice(_NICE)  # before its threads start, which inherit it
     start_ros(ros_arguments)
     viewer = Viewer(target, title, dark)
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -35,11 +35,14 @@ _TARGET = (31, 119, 180)
 _HISTORY = 10.0  # [s] that the plots reach back
 _TRAIL = 400  # points
 _REPLOT = 0.2  # [s]
+_APART = 3e-3  # [rad or m] from where on a joint's command is seen beside the joint
 _STILL = 2e-5  # [rad or m] of a joint that are no motion to the eye
+_VIEW = (1.25, -1.05, 0.95), (0.15, 0.05, 0.35)  # where one looks from, and to
+_VIEW_UPRIGHT = (1.5, -1.25, 0.6), (0.15, 0.05, -0.15)
 _LEVELS = {0: "#2f9e44", 1: "#e8a100", 2: "#d6336c"}  # of diagnostics: OK, warning, error; grey: stale
 _HELP = (
     "Drag the arrows, planes or rings at the tool: the arm follows while you hold them, and stops when you let go. "
-    "Solid: the measured arm; orange: the commanded one."
+    "Solid: the measured arm; orange: the commanded one, where they differ."
 )
 
 
@@ -64,11 +67,8 @@ SLIDERS = {
     "velocity_scale": ("speed scale", 0.01, 1.0, 0.01),
 }
 _BUTTONS = {
-    "pause": "Pause",
-    "resume": "Go on",
-    "reset": "Reset",
-    "record": "Record",
-    "seal": "Stop recording",
+    "arm": {"Pause": "pause", "Go on": "resume", "Reset": "reset"},
+    "recording": {"Record": "record", "Stop": "seal"},
 }
 
 
@@ -102,11 +102,17 @@ class Page:
         )
         server.scene.set_up_direction("+z")
         server.scene.add_grid(
-            "/floor", width=4.0, height=4.0, cell_size=0.1, section_size=0.5, plane="xy", position=(0.0, 0.0, -0.001)
+            "/floor",
+            width=4.0,
+            height=4.0,
+            cell_size=0.1,
+            section_size=0.5,
+            cell_color=(48, 52, 58) if dark else (225, 225, 225),
+            section_color=(80, 86, 95) if dark else (180, 180, 180),
+            position=(0.0, 0.0, -0.001),
         )
         server.scene.configure_default_lights(cast_shadow=False)  # shadows cost a browser without GPU its fluency
-        server.initial_camera.position = (1.25, -1.05, 0.95)
-        server.initial_camera.look_at = (0.15, 0.05, 0.35)
+        server.initial_camera.position, server.initial_camera.look_at = _VIEW
         self._sentence = server.gui.add_html(_sentence(3, "waiting for the node"))
         self._facts = server.gui.add_markdown("")
         with server.gui.add_folder("Last 10 s", order=1e6):
@@ -164,12 +170,19 @@ class Page:
                     frame = self._joints[kind][joint]
                     frame.position = placement.translation
                     frame.wxyz = _wxyz(placement.rotation)
+                self._show_ghost()
             if kind == "commanded" or not self._trail:
                 self._tool = self._model.forward(q)
                 self._leave_trail(self._tool.translation)
                 if not self._held and self._gizmo is not None:
                     self._gizmo.position = self._tool.translation
                     self._gizmo.wxyz = _wxyz(self._tool.rotation)
+
+    def _show_ghost(self) -> None:
+        apart = len(self._shown) < 2 or np.abs(self._shown["measured"] - self._shown["commanded"]).max() > _APART
+        for frame in self._joints["commanded"].values():
+            if frame.visible != apart:
+                frame.visible = apart
 
     def _leave_trail(self, point: Array) -> None:
         if self._trail and np.linalg.norm(point - self._trail[-1]) < 2e-3:
@@ -260,6 +273,8 @@ class Page:
     # -- who steers
 
     def _joined(self, client: Any) -> None:
+        if client.camera.image_height > client.camera.image_width:  # a telephone: the panel covers the lower half
+            client.camera.position, client.camera.look_at = _VIEW_UPRIGHT
         if self._steering is None:
             return
         with self._lock:
@@ -325,13 +340,13 @@ class _Controls:
         self._folder = gui.add_folder("Steering")
         with self._folder:
             gui.add_markdown(_HELP)
-            self._buttons = [gui.add_button(label) for label in _BUTTONS.values()]
+            for label, names in _BUTTONS.items():
+                group = gui.add_button_group(label, tuple(names))
+                group.on_click(lambda event, names=names: steering.press(names[event.target.value]))
             self._sliders = {
                 name: gui.add_slider(label, min=low, max=high, step=step, initial_value=low)
                 for name, (label, low, high, step) in SLIDERS.items()
             }
-        for name, button in zip(_BUTTONS, self._buttons, strict=True):
-            button.on_click(lambda _, name=name: steering.press(name))
         for name, slider in self._sliders.items():
             slider.on_update(lambda _, name=name, slider=slider: self._slid(name, slider))
 
