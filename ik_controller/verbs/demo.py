@@ -31,7 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--targets", metavar="BAG", help="bag of poses to stream (a figure-eight for the robot)")
     parser.add_argument("--duration", type=float, metavar="S", help="only the first seconds of the targets")
     parser.add_argument("--rate", type=float, metavar="HZ", help="control cycles a second (the robot's parameter)")
-    parser.add_argument("--output", default="runs", metavar="FOLDER", help="folder for bag, picture and report (runs)")
+    parser.add_argument(
+        "-o", "--output", default="runs", metavar="FOLDER", help="folder for bag, picture and report (runs)"
+    )
     add_json_argument(parser)
 
 

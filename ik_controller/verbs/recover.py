@@ -17,7 +17,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Exit code 0: all of it; 3: some of it is lost; 1: nothing is readable."
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="bag folder or .mcap file")
-    parser.add_argument("--output", type=Path, help="the new bag (default: BAG_recovered, and none if BAG is whole)")
+    parser.add_argument(
+        "-o", "--output", type=Path, help="the new bag (default: BAG_recovered, and none if BAG is whole)"
+    )
     add_json_argument(parser)
 
 

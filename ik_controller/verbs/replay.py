@@ -29,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's arguments."""
     parser.add_argument("bag", help="bag folder or .mcap file")
     add_params_argument(parser, "whose values replace the recorded ones (what if)")
-    parser.add_argument("--output", metavar="BAG", help="folder of a new bag with the replayed run")
+    parser.add_argument("-o", "--output", metavar="BAG", help="folder of a new bag with the replayed run")
     parser.add_argument(
         "--tolerance", type=float, default=0.0, metavar="T", help="largest difference that passes [rad or m] (0: bits)"
     )

@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--host", default="127.0.0.1", help="address to serve on (127.0.0.1); others need a token")
     parser.add_argument("--port", type=int, default=8080, help="port to serve on (8080; 0: any that is free)")
     parser.add_argument("--dark", action="store_true", help="dark page")
-    parser.add_argument("--output", default="runs", metavar="FOLDER", help="folder for the bags of --sim (runs)")
+    parser.add_argument("-o", "--output", default="runs", metavar="FOLDER", help="folder for the bags of --sim (runs)")
     add_json_argument(parser)
 
 

@@ -1,6 +1,6 @@
 """How long the arm takes to follow a hand: from the mouse in the browser to the node's first command that moves.
 
-    python test/benchmark/bench_drag.py [--drags 20] [--width 480]
+    python test/benchmark/bench_drag.py [--drags 20]
 
 Runs what `make view` runs: a simulated arm, its node at 1 kHz and the live page, in headless Chromium, which drags the
 target by its arrow. Each drag begins from rest. The times are from the browser's own pointer event to the stamp of the
@@ -40,6 +40,7 @@ EVENTS = """window.drags = [];
 addEventListener('pointermove', (e) => {
   if (e.buttons & 1) window.drags.push(performance.timeOrigin + e.timeStamp);
 }, true);"""
+WIDTH, HEIGHT = 900, 600  # of the page [pixels]
 VIEW_FROM, LOOK_AT = np.array((1.25, -1.05, 0.95)), np.array((0.15, 0.05, 0.35))  # the page's first view
 FIELD = math.radians(75.0)
 MOVED = 1e-3  # [m] of a target that has moved
@@ -47,15 +48,15 @@ MOVES = 0.02  # [rad/s] of a joint that moves; holding a target is slower
 REST = 3.0  # [s] from letting go to the next drag: the target is sent for 2 s more
 
 
-def pixel(point: np.ndarray, width: int, height: int) -> np.ndarray:
+def pixel(point: np.ndarray) -> np.ndarray:
     """Return where a point of the scene is in the page's first view."""
     ahead = (LOOK_AT - VIEW_FROM) / np.linalg.norm(LOOK_AT - VIEW_FROM)
     right = np.cross(ahead, (0.0, 0.0, 1.0))
     right /= np.linalg.norm(right)
     down = np.cross(ahead, right)
     x, y, z = (float(axis @ (point - VIEW_FROM)) for axis in (right, down, ahead))
-    scale = 0.5 * height / math.tan(0.5 * FIELD)
-    return np.array((0.5 * width + scale * x / z, 0.5 * height + scale * y / z))
+    scale = 0.5 * HEIGHT / math.tan(0.5 * FIELD)
+    return np.array((0.5 * WIDTH + scale * x / z, 0.5 * HEIGHT + scale * y / z))
 
 
 def drag(page: Any, grip: np.ndarray, way: np.ndarray) -> list[float]:
@@ -76,13 +77,12 @@ def main() -> None:
     """Drag and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--drags", type=int, default=20)
-    parser.add_argument("--width", type=int, default=480, help="of the page [pixels]; its height is as large")
     arguments = parser.parse_args()
-    size, began = arguments.width, []
+    began = []
     parameters = bundled_parameters("panda")
     tool = build_model(parameters).forward(np.array(parameters.posture))
-    grip = pixel(tool.translation, size, size)
-    along = pixel(tool.translation + 0.1 * tool.rotation[:, 2], size, size) - grip
+    grip = pixel(tool.translation)
+    along = pixel(tool.translation + 0.1 * tool.rotation[:, 2]) - grip
     along /= np.linalg.norm(along)
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, "-m", "ik_controller.cli", "view", "--sim", "--port", "0", "--json"]
@@ -93,7 +93,7 @@ def main() -> None:
             assert process.stdout is not None
             url = json.loads(process.stdout.readline())["url"]
             with browser() as chromium:
-                page = Watched(chromium, viewport={"width": size, "height": size}).page
+                page = Watched(chromium, viewport={"width": WIDTH, "height": HEIGHT}).page
                 page.add_init_script(EVENTS)
                 page.goto(url)
                 page.get_by_text("holding").first.wait_for()
@@ -138,6 +138,7 @@ def recorded(run: Path) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
         place = cdr.decode(cdr.POSE, message.data).pose.position
         times.append(message.log_time_ns)
         places.append((place.x, place.y, place.z))
+    assert times, "no drag gripped the target"
     at, where = np.array(times, dtype=np.int64), np.array(places)
     new = np.flatnonzero(np.diff(at, prepend=0) > 5e8)  # the first targets of drags
     start = np.repeat(new, np.diff(np.append(new, len(at))))

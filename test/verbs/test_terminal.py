@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
+import importlib
 import io
 import os
 import sys
 
 import pytest
 
-from ik_controller.cli import main
+from ik_controller.cli import VERBS, main
 from ik_controller.share import bag_folder
 from ik_controller.verbs import common
 
@@ -46,12 +48,21 @@ def longest(text: str) -> int:
         ["solve", "--robot", "panda", "--pose", "0.4", "0.2", "0.4", "1", "0", "0", "0", "--history"],
         ["report", str(bag_folder("ur5e_golden")), "-o", os.devnull],
         ["replay", str(bag_folder("ur5e_golden")), "--tolerance", "1e-9"],
-        *([name, "--help"] for name in ("demo", "replay", "report", "solve", "doctor", "recover", "sim", "stream")),
+        ["compare", str(bag_folder("ur5e_golden")), "--params", "gain.yaml"],
+        ["doctor", "--robot", "ur5e"],
+        ["import", "log.csv", "-o", "imported", "--columns", "t=time", "x=px", "y=py", "z=pz"],
+        ["recover", str(bag_folder("ur5e_golden")), "-o", "recovered"],
+        ["--help"],
+        *([name, "--help"] for name in VERBS),
     ],
     ids=lambda arguments: " ".join(arguments[:3:2]),
 )
-def test_output_in_a_pipe_is_plain_and_80_columns_wide(arguments, capsys, monkeypatch):
+def test_output_in_a_pipe_is_plain_and_80_columns_wide(arguments, capsys, monkeypatch, tmp_path):
     monkeypatch.delenv("COLUMNS", raising=False)
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")  # what else runs on this machine is not ours
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "gain.yaml").write_text("gain: 20.0\n", encoding="utf-8")
+    (tmp_path / "log.csv").write_text("time,px,py,pz,rx,ry,rz\n0,1,2,3,0,0,90\n1,1,2,3,0,0,90\n", encoding="utf-8")
     try:
         code = main(arguments)
     except SystemExit as left:
@@ -60,6 +71,18 @@ def test_output_in_a_pipe_is_plain_and_80_columns_wide(arguments, capsys, monkey
     assert (code, said.err) == (0, "")
     assert longest(said.out) <= 80
     assert "\x1b" not in said.out
+
+
+@pytest.mark.parametrize("name", VERBS)
+def test_every_verb_speaks_json_and_says_a_mistake_in_one_line(name, capsys):
+    parser = argparse.ArgumentParser()
+    importlib.import_module(f"ik_controller.verbs.{name}").add_arguments(parser)
+    assert "--json" in parser.format_help()
+    with pytest.raises(SystemExit, match="2"):
+        main([name, "--no-such-option"])
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert len(said.err.splitlines()) == 1
 
 
 def test_a_table_wraps_names_and_texts(capsys):
