@@ -111,7 +111,7 @@ def _replayed(run: Run) -> Fact:
         return Fact("Replay", "nothing to compare", "the bag holds targets alone; they were run on the ideal arm")
     if result.identical is None:
         return Fact("Replay", "nothing to compare", "the run commanded nothing")
-    cut = "; the bag is cut off, this is what its whole chunks hold" if not result.complete else ""
+    cut = "; the bag is cut off, this is what can be read of it" if not result.complete else ""
     if result.identical:
         return Fact("Replay", "bit-identical", f"all {result.commands} commands, every bit{cut}", True)
     other = f"; recorded with other software: {describe_software(result.software)}" if result.software else ""

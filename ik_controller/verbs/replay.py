@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
         rows += error_rows(result.errors.as_mapping())
         print_table(rows)
         if not result.complete:
-            print("The bag is cut off: this is what its whole chunks hold.")
+            print("The bag is cut off: this is what can be read of it.")
         if result.identical is False:
             _explain(result)
         if output is not None:

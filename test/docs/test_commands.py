@@ -22,6 +22,7 @@ from ik_controller.cli import ROS_VERBS, VERBS, split
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", ROOT / "bags" / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES.remove(ROOT / "docs" / "real_recordings.md")  # by test_real_recordings.py
 RUNNING = ("sim", "stream", "demo", "view", "teleop")  # verbs that talk ROS; see test/verbs and test/ros
 ELSEWHERE = ("pip", "colcon", "ros2")
 
