@@ -50,7 +50,7 @@ def longest(text: str) -> int:
         ["replay", str(bag_folder("ur5e_golden")), "--tolerance", "1e-9"],
         ["compare", str(bag_folder("ur5e_golden")), "--params", "gain.yaml"],
         ["doctor", "--robot", "ur5e"],
-        ["import", "log.csv", "-o", "imported", "--columns", "t=time", "x=px", "y=py", "z=pz"],
+        ["import", "motion.txt", "-o", "imported"],
         ["recover", str(bag_folder("ur5e_golden")), "-o", "recovered"],
         ["--help"],
         *([name, "--help"] for name in VERBS),
@@ -62,7 +62,7 @@ def test_output_in_a_pipe_is_plain_and_80_columns_wide(arguments, capsys, monkey
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "OFF")  # what else runs on this machine is not ours
     monkeypatch.chdir(tmp_path)
     (tmp_path / "gain.yaml").write_text("gain: 20.0\n", encoding="utf-8")
-    (tmp_path / "log.csv").write_text("time,px,py,pz,rx,ry,rz\n0,1,2,3,0,0,90\n1,1,2,3,0,0,90\n", encoding="utf-8")
+    (tmp_path / "motion.txt").write_text("0 1 2 3 0 0 0 1\n0.01 1 2 3 0 0 0 1\n", encoding="utf-8")
     try:
         code = main(arguments)
     except SystemExit as left:
