@@ -26,9 +26,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ik_controller.control.least_distance import least_distance
+from ik_controller.control.least_distance import active_set, least_distance
 from ik_controller.kinematics.accelerate import compiled
-from ik_controller.kinematics.small import DEPENDENT, inverse_factor, reflect_rows, turn_back
+from ik_controller.kinematics.small import DEPENDENT, inverse_factor, row_space
 
 Array = NDArray[np.float64]
 
@@ -74,12 +74,7 @@ def bounded_velocity(
         for i in range(m):
             task[i, j] = jacobian[i, j] * limit[j]
     tolerance = _TOLERANCE * largest
-    corner, factor, order = np.empty(m), np.empty(m), np.empty(m, dtype=np.int64)
-    rank = reflect_rows(task, corner, factor, order)
-    null = np.zeros((n - rank, n))
-    for i in range(n - rank):
-        null[i, rank + i] = 1.0
-        turn_back(task, factor, rank, null[i])
+    null, before = row_space(task, last)
     ways, y, found = np.zeros((2, n)), np.empty(n), ALONG
     omega, ease, free = math.sqrt(SCALE_WEIGHT), aim, null
     if own is not None:
@@ -88,15 +83,8 @@ def bounded_velocity(
     solved, scale = _on_path(aim, ways, omega, 0, 1.0, free, low, high, limit, rows, row_bounds, tolerance, y)
     if not solved:
         for j in range(n):
-            ways[0, j] = -aim[j]
-        # The shortest b with A b = ẋ_last: b = Q L⁻¹ P ẋ_last.
-        for i in range(rank):
-            total = last[order[i]]
-            for j in range(i):
-                total -= task[i, j] * ways[1, j]
-            ways[1, i] = total / corner[i]
-        turn_back(task, factor, rank, ways[1])
-        most = _most_at_ease(ease, ways[1], null, limit, step)
+            ways[0, j], ways[1, j] = -aim[j], before[j]
+        most = _most_at_ease(ease, before, null, limit, step)
         solved, scale = _on_path(aim, ways, omega, 1, most, free, low, high, limit, rows, row_bounds, tolerance, y)
     if not solved:
         found = BETWEEN
@@ -193,7 +181,8 @@ def _on_path(
     n, k = aim.shape[0], row_bounds.shape[0]
     p = count + null.shape[0]
     first = n + (3 if count == 2 else count)  # the first row of G
-    c, lower, upper, x = np.zeros((first + k, p)), np.empty(first + k), np.empty(first + k), np.empty(p)
+    c, ends, x = np.zeros((first + k, p)), np.empty((2, first + k)), np.empty(p)
+    lower, upper = ends[0], ends[1]
     for j in range(n):
         for way in range(count):
             c[j, way] = ways[way, j] / omega
@@ -273,7 +262,9 @@ def _closest(
             upper[n + i] -= scale * share * aim[j]
             for column in range(n):
                 c[n + i, column] += share * c[j, column]
-    if not least_distance(c, lower, upper, _TOLERANCE, x):
+    # The weight of the rows is more than DAQP's digits bear.
+    solved = least_distance(c, lower, upper, _TOLERANCE, x) if k == 0 else active_set(c, lower, upper, _TOLERANCE, x)
+    if not solved:
         for column in range(n + k):  # not in exact arithmetic: the bounds alone have a solution always
             x[column] = 0.0
     for j in range(n):

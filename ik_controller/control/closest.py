@@ -15,8 +15,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ik_controller.control.kernel import ENDLESS, braking_factor
+from ik_controller.control.kernel import braking_factor
 from ik_controller.control.least_distance import least_distance
+from ik_controller.control.reach import ENDLESS
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,21 +18,18 @@ from ik_controller.control.bounded import CLOSEST
 from ik_controller.control.closest import blocked, slide
 from ik_controller.control.gate import Gate
 from ik_controller.control.kernel import (
-    BOUNDS,
     BRAKING,
     BRAKING_SHARE,
     BY_POSITION,
-    LAST,
     NOT_FINITE,
     SCALARS,
     bounded_cycle,
     braking_factor,
-    tool_cycle,
-    tool_velocity,
 )
 from ik_controller.control.law import Law
 from ik_controller.control.limits import JointLimits
 from ik_controller.control.obstacles import Obstacles, Scene
+from ik_controller.control.reach import BOUNDS, LAST
 from ik_controller.control.reference import Reference
 from ik_controller.control.stack import stack_cycle
 from ik_controller.control.status import LIMITS, Code, Limit, Status
@@ -81,6 +77,8 @@ class Controller:
         self._outside = False  # did the arm start outside its bounds, and has not come inside yet?
         self.fault = ""
         self._gate = Gate(model)
+        self._detail = np.zeros((7, model.n))  # of one cycle: its wanted velocity and the J that it was made with
+        self._wanted, self._task = self._detail[0], self._detail[1:]
         self._keep(np.zeros(2 * model.n + 6))
         self.parameters = ControllerParameters()
         self.set_parameters(parameters or self.parameters)
@@ -235,10 +233,11 @@ class Controller:
         out = np.empty(2 * n + 12)
         if law.stack is not None:
             return self._follow_stack(law.stack, has_pose, at, (position, rotation, twist), dt, table)
-        how, scale, joint, limit, sigma = tool_cycle(
-            law.chain, law.table, table, self._state, at, position, rotation, twist, feedback, measure, reserve, dt, out
-        )
-        wanted = jacobian = None
+        wanted, jacobian = self._wanted, self._task
+        how, scale, joint, limit, sigma = law.cycle(
+            law.chain, law.table, table, self._state, at, position, rotation, twist, feedback, measure, reserve, dt,
+            out, self._detail,
+        )  # fmt: skip
         if law.by_name:
             with contextlib.suppress(ArgumentError):  # at a singularity: the damped velocity it is
                 jacobian = law.jacobian(at + 0.5 * dt * self._v)
@@ -251,18 +250,8 @@ class Controller:
             tool, ask = law.jacobian(at + 0.5 * dt * self._v), law.feedback(out[2 * n + 6 :], feedback) + twist
             how, joint, limit = self._slide(tool, tool, ask, dt, table, out) or (how, joint, limit)
 
-        def aim() -> tuple[Array, Array]:
-            if wanted is not None and jacobian is not None:
-                return wanted, jacobian
-            tool, velocity = np.empty((6, n)), np.empty(n)
-            tool_velocity(
-                law.chain, law.table, self._state, at, position, rotation, twist, feedback, measure, dt,
-                np.empty(6), tool, velocity,
-            )  # fmt: skip
-            return velocity, tool
-
         status = Status(Code.TRACKING, scale, LIMITS[limit], joint, sigma < law.threshold, sigma, how != CLOSEST)
-        return self._finish(out, how == NOT_FINITE, has_pose, status, aim, dt, table)
+        return self._finish(out, how == NOT_FINITE, has_pose, status, wanted, jacobian, dt, table)
 
     def _finish(
         self,
@@ -270,13 +259,14 @@ class Controller:
         lost: bool,
         has_pose: bool,
         status: Status,
-        aim: Callable[[], tuple[Array, Array]],
+        wanted: Array,
+        task: Array,
         dt: float,
         table: Array,
     ) -> Step:
         """Take the cycle's outcome, unless an obstacle stands in its way or it is `lost`: not finite.
 
-        `aim` returns the wanted velocity (n,) and the Jacobian of the task (m, n); only obstacles ask for it.
+        `wanted` (n,): the velocity before the joints' limits; `task` (m, n): the Jacobian that it was made with.
         """
         n = self._n
         if lost or self._obstacles.watching:
@@ -284,11 +274,10 @@ class Controller:
             self._obstacles.update(self._q, self._v, self._gate.acceleration, self._limits, dt)
         if lost:
             return self._stop(dt, Code.HOLDING)
-        if self._obstacles.watching and self._obstacles.count:
-            wanted, task = aim()
-            if not (self._obstacles.let(wanted) and self._obstacles.allow(out[n : 2 * n])):
-                status = status._replace(scale=1.0, limit=Limit.NONE, joint=-1, feasible=True)
-                return self._pass_by(wanted, task, dt, out[2 * n + 6 :], status)
+        obstacles = self._obstacles
+        if obstacles.watching and not (obstacles.let(wanted) and obstacles.allow(out[n : 2 * n])):
+            status = status._replace(scale=1.0, limit=Limit.NONE, joint=-1, feasible=True)
+            return self._pass_by(wanted, task, dt, out[2 * n + 6 :], status)
         self._keep(out)
         if has_pose and (status.damped or not status.feasible) and self._rests_away(out[2 * n + 6 :]):
             status = status._replace(closest=True)
@@ -355,7 +344,7 @@ class Controller:
             rows, ask = stack.wanted(position, rotation, twist, out[2 * n + 6 :], law.table[:6, :6], at)
             how, joint, limit = self._slide(tool, rows @ tool, ask, dt, table, out) or (how, joint, limit)
         status = Status(Code.TRACKING, scale, LIMITS[limit], joint, sigma < law.threshold, sigma, how != CLOSEST)
-        return self._finish(out, how == NOT_FINITE, has_pose, status, lambda: (detail[0], detail[1:]), dt, table)
+        return self._finish(out, how == NOT_FINITE, has_pose, status, detail[0], detail[1:], dt, table)
 
     def _follow_joints(self, joints: Array, reference: Reference, dt: float) -> Step:
         """Joint-space target: q̇ = q̇_d + K (q_d − q), slowed as one where a joint must brake or is at a limit."""

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.control.interval import stop_braking
-from ik_controller.kinematics.accelerate import compiled
+from ik_controller.control.plain import PlainCheck
+from ik_controller.kinematics.accelerate import HAS_NUMBA, compiled
 from ik_controller.kinematics.model import RobotModel
 
 Array = NDArray[np.float64]
@@ -45,6 +46,7 @@ class Gate:
         self._limits = np.array(
             [model.lower, model.upper, model.velocity_limit, model.acceleration_limit, model.jerk_limit]
         )
+        self._check = check if HAS_NUMBA else PlainCheck(self._limits, check)
         self._names = model.joint_names
         self.memory = np.zeros((3, model.n))
 
@@ -63,7 +65,7 @@ class Gate:
         """Return "" where a command (n,), (n,), dt [s] after the last one, is fit to publish, and remember it; else why
         it is not.
         """
-        verdict = check(self.memory, self._limits, q, v, dt)
+        verdict = self._check(self.memory, self._limits, q, v, dt)
         if verdict == _PASSED:
             return ""
         joint, reason = divmod(verdict, len(_REASONS))

@@ -1,7 +1,7 @@
 """The numbers of one cycle: functions of arrays alone, compiled by Numba where it is installed; one source.
 
-n joints; J (6, n); arrays are float64. The formulas are explained where they belong: the law in `law`, the interval in
-`limits`, the damping in `damped_inverse`.
+n joints; J (6, n); arrays are float64. The formulas are explained where they belong: the law in `law`, the
+intervals in `limits` and `reach`, the damping in `damped_inverse`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.control.bounded import bounded_velocity
-from ik_controller.control.interval import jerk_interval, lets_go
+from ik_controller.control.interval import lets_go
+from ik_controller.control.reach import ACCELERATION, JERK, LAST, VELOCITY, velocity_interval, within
 from ik_controller.kinematics.accelerate import compiled
 from ik_controller.kinematics.damped_inverse import damped_gram_inverse
 from ik_controller.kinematics.levenberg_marquardt import kinematics, kinematics_pose, rotation_log
@@ -21,7 +22,6 @@ from ik_controller.kinematics.small import gram, times, transposed_times
 
 Array = NDArray[np.float64]
 
-ENDLESS = 1e18  # room ahead of a joint without bounds [rad or m]
 # Near a singularity the feedback K e is slowed as a whole to these speeds of the tool along any axis.
 FASTEST_APPROACH = 1.5  # [m/s]
 FASTEST_TURN = 3.0  # [rad/s]
@@ -29,16 +29,6 @@ FASTEST_TURN = 3.0  # [rad/s]
 # reference, the turning of J and the posture.
 BRAKING_SHARE = 0.7
 
-
-# Rows of the table of limits (5, 2n), or (7, 2n) where joints have jerk limits; each holds its values upward (first n)
-# and downward (last n).
-BOUNDS = 0  # upper limits, then negated lower ones: those of this cycle [rad or m]
-VELOCITY = 1
-ACCELERATION = 2
-JOINT_BOUNDS = 3  # the model's own
-FULL_ACCELERATION = 4  # the model's own
-JERK = 5  # first n, inf for a joint without one; last n: the model's own
-LAST = 6  # first n: the last accelerations; last n: the model's own velocity limits
 
 # Rows of the table of the law (10, max(n, 9)): K (6, 6), scalars, and what is given for each joint.
 SCALARS = 6  # largest eigenvalue of K, gain of the posture, λ, ε, number of directions the arm can move in, and
@@ -51,72 +41,6 @@ SEEK_LIMIT = 9  # at most so fast towards the posture
 FREE, BY_VELOCITY, BY_ACCELERATION, BY_POSITION, BY_JERK, BY_TOOL_SPEED, BY_TOOL_ACCELERATION = range(7)
 # How the velocity was found: 0 to 2 as in `bounded`, with s = 1 where no limit was met.
 NOT_FINITE = -1
-
-
-@compiled
-def velocity_interval(q: Array, v: Array, dt: float, limits: Array, reserve: bool, reach: Array) -> None:
-    """Write the velocities (2n,) that each joint may reach upward (first n) and downward (last n, negated).
-
-    q, v (n,): the commanded state; dt [s]; `limits` (5 or 7, 2n). With `reserve`, an acceleration or jerk limit below
-    the model's own is left where only the model's own still stops a joint before its bound.
-    """
-    n = q.shape[0]
-    for i in range(2 * n):
-        sign, joint = (1.0, i) if i < n else (-1.0, i - n)
-        reach[i] = fastest_stoppable(
-            sign * q[joint], sign * v[joint], dt, limits[BOUNDS, i], limits[VELOCITY, i], limits[ACCELERATION, i]
-        )
-    if reserve:
-        for i in range(n):
-            up, down = limits[JOINT_BOUNDS, i], limits[JOINT_BOUNDS, n + i]
-            highest = fastest_stoppable(q[i], v[i], dt, up, math.inf, limits[FULL_ACCELERATION, i])
-            lowest = -fastest_stoppable(-q[i], -v[i], dt, down, math.inf, limits[FULL_ACCELERATION, n + i])
-            reach[i] = min(max(reach[i], lowest), highest)
-            reach[n + i] = min(max(reach[n + i], -highest), -lowest)
-    if limits.shape[0] > JERK:
-        apply_jerk(q, v, dt, limits, reserve, reach)
-
-
-@compiled
-def apply_jerk(q: Array, v: Array, dt: float, limits: Array, reserve: bool, reach: Array) -> None:
-    """Overwrite the `velocity_interval` (2n,) of the joints that have a jerk limit."""
-    n = q.shape[0]
-    for i in range(n):
-        jerk, full_jerk, a = limits[JERK, i], limits[JERK, n + i], limits[LAST, i]
-        if not jerk < math.inf:
-            continue
-        up, down = limits[BOUNDS, i] - q[i], limits[BOUNDS, n + i] + q[i]
-        speed_up, speed_down = limits[VELOCITY, i], limits[VELOCITY, n + i]
-        lowest, highest = jerk_interval(v[i], a, dt, up, down, speed_up, speed_down, limits[ACCELERATION, i], jerk)
-        if reserve:
-            up, down = limits[JOINT_BOUNDS, i] - q[i], limits[JOINT_BOUNDS, n + i] + q[i]
-            speed, acceleration = limits[LAST, n + i], limits[FULL_ACCELERATION, i]
-            least, most = jerk_interval(v[i], a, dt, up, down, speed, speed, acceleration, full_jerk)
-            lowest, highest = min(max(lowest, least), most), min(max(highest, least), most)
-        reach[i], reach[n + i] = highest, -lowest
-
-
-@compiled
-def fastest_stoppable(q: float, v: float, dt: float, bound: float, velocity: float, acceleration: float) -> float:
-    """Return the largest velocity from which a joint at q, v still stops at its upper bound (see `limits`)."""
-    room = min(max(bound - q, 0.0), ENDLESS)
-    # a (√(dt² + 2 room/a) − dt) in the form that loses no digits near the bound and serves an infinite a too.
-    far = (2.0 * room) / (math.sqrt(dt * dt + (2.0 * room) / acceleration) + dt)
-    # Rounding may ask for a little more than the room: never step over the bound.
-    far = min(min(far, room * (1.0 / dt)), velocity)
-    # Acceleration comes last: it always holds; the others do as long as they held before (or shrink to it).
-    step = acceleration * dt
-    return min(max(far, v - step), v + step)
-
-
-@compiled
-def within(wanted: Array, reach: Array) -> bool:
-    """Tell whether a velocity (n,) is in a `velocity_interval` (2n,); one that is not finite never is."""
-    n = wanted.shape[0]
-    for i in range(n):  # noqa: SIM110 (Numba compiles no generators)
-        if not (wanted[i] <= reach[i] and -wanted[i] <= reach[n + i]):
-            return False
-    return True
 
 
 @compiled
@@ -241,19 +165,18 @@ def task_velocity(
     posture, slowed as a whole to its limits.
     """
     m, n = jacobian.shape
-    gain, seek, ratio = law[SCALARS, 1], np.empty(n), 1.0
+    gain, ratio, space = law[SCALARS, 1], 1.0, np.empty((2, max(m, n)))
+    seek, steady = space[0], space[1]
     for j in range(n):
         seek[j] = gain * (law[POSTURE, j] - at[j])
         ratio = max(ratio, abs(seek[j]) / law[SEEK_LIMIT, j])
-    steady, approach = np.empty(m), np.empty(m)
     for i in range(m):
-        steady[i], approach[i] = feed_forward[i], share * feedback[i]
+        steady[i] = feed_forward[i]
         for j in range(n):
             steady[i] -= jacobian[i, j] * (seek[j] / ratio)
-    steady, approach = times(inverse, steady), times(inverse, approach)
-    approach = transposed_times(jacobian, approach)
-    beta = braking_factor(approach, law[SCALARS, 0], law[BRAKING])
-    result = transposed_times(jacobian, steady)
+    approach = transposed_times(jacobian, times(inverse, feedback))
+    beta = share * braking_factor(approach, share * law[SCALARS, 0], law[BRAKING])
+    result = transposed_times(jacobian, times(inverse, steady[:m]))
     for j in range(n):
         result[j] += seek[j] / ratio + beta * approach[j]
     return result
@@ -274,16 +197,18 @@ def tool_cycle(
     reserve: bool,
     dt: float,
     out: Array,
+    detail: Array,
 ) -> tuple[int, float, int, int, float]:
     """Write one cycle towards a tool reference to `out` and return (how, s, joint, limit, σ_min).
 
     `state` (2n + 6,): q, v and the tool's velocity of the last cycle; `out` (2n + 12,): the same after this cycle, and
     the error e. Where `measure`, e and K e are worked out against `position` (3,) and `rotation` (3, 3), else K e is
-    `feedback` (6,). `at` (n,): where e and J are taken; `twist` ẋ_d (6,). Few arrays, because Numba takes 0.1 µs or
-    more to take in each.
+    `feedback` (6,). `at` (n,): where e and J are taken; `twist` ẋ_d (6,). `detail` (7, n) is written for who wants to
+    know more: the law's velocity before any limit of joints, and J. Few arrays, because Numba takes 0.1 µs or more to
+    take in each.
     """
     n = at.shape[0]
-    jacobian, wanted = np.empty((6, n)), np.empty(n)
+    wanted, jacobian = detail[0], detail[1:]
     sigma, slower, by_tool = tool_velocity(
         chain, law, state, at, position, rotation, twist, feedback, measure, dt, out[2 * n + 6 :], jacobian, wanted
     )

@@ -28,11 +28,14 @@ from ik_controller.control.kernel import (
     bound_tool,
     braking_factor,
     longer,
+    tool_cycle,
     tool_is_free,
 )
+from ik_controller.control.plain import PlainCycle
 from ik_controller.control.reference import Reference
 from ik_controller.control.tasks import TaskStack, is_configured
 from ik_controller.errors import ArgumentError, ParameterError
+from ik_controller.kinematics.accelerate import HAS_NUMBA
 from ik_controller.kinematics.damped_inverse import damped_gram_inverse
 from ik_controller.kinematics.inverses import INVERSES, inverse
 from ik_controller.kinematics.levenberg_marquardt import kinematics, solver_chain
@@ -49,8 +52,8 @@ _POSTURE_SHARE = 0.2
 
 
 class Law:
-    """The law's constants for one model and one set of parameters: `chain` and `table` as `kernel.tool_cycle` takes
-    them.
+    """The law's constants for one model and one set of parameters: `cycle` is `kernel.tool_cycle` or
+    its form in NumPy; `chain` and `table` are what it takes.
     """
 
     def __init__(self, model: RobotModel, parameters: ControllerParameters) -> None:
@@ -66,6 +69,7 @@ class Law:
         self.feed_forward = parameters.feed_forward
         self.threshold = parameters.singular_value_threshold
         self.chain = solver_chain(model)
+        self.cycle = tool_cycle if HAS_NUMBA else PlainCycle(self.chain)
         self.table = np.zeros((10, max(n, 9)))  # rows as `kernel` numbers them
         self.table[:6, :6] = gain
         self.table[SCALARS, :9] = (

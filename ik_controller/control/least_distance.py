@@ -30,10 +30,14 @@ def active_set(rows: Array, lower: Array, upper: Array, tolerance: float, x: Arr
     A bound counts as kept within `tolerance`. Infinite bounds are none.
     """
     k, p = rows.shape
-    basis, r = np.zeros((p, p)), np.zeros((p, p))  # Q; R in the upper left corner
-    index = np.zeros(p, dtype=np.int64)  # the rows of the held bounds
-    multiplier, change, normal = np.zeros(p), np.zeros(p), np.zeros(p)
-    holds = np.zeros(k, dtype=np.bool_)
+    if p <= 1:
+        return nearest_number(rows, lower, upper, tolerance, x)
+    # Few arrays: making one costs as much as a dozen steps of the loops.
+    space = np.zeros((2 * p + 3, p))
+    basis, r = space[:p], space[p : 2 * p]  # Q; R in the upper left corner
+    multiplier, change, normal = space[2 * p], space[2 * p + 1], space[2 * p + 2]
+    index = np.zeros(p + k, dtype=np.int64)  # the rows of the held bounds, and whether each row is held
+    holds = index[p:]
     held = 0
     for i in range(p):
         basis[i, i] = 1.0
@@ -41,7 +45,7 @@ def active_set(rows: Array, lower: Array, upper: Array, tolerance: float, x: Arr
     for _ in range(10 * (k + p)):
         violation, worst, sign = tolerance, -1, 0.0
         for i in range(k):
-            if holds[i]:
+            if holds[i] != 0:
                 continue
             value = 0.0
             for j in range(p):
@@ -92,15 +96,37 @@ def active_set(rows: Array, lower: Array, upper: Array, tolerance: float, x: Arr
             if step == full:
                 _take_in(basis, r, normal, held)
                 index[held], multiplier[held] = worst, new
-                holds[worst] = True
+                holds[worst] = 1
                 held += 1
                 break
-            holds[index[leaves]] = False
+            holds[index[leaves]] = 0
             for i in range(leaves, held - 1):
                 index[i], multiplier[i] = index[i + 1], multiplier[i + 1]
             _let_go(basis, r, leaves, held)
             held -= 1
     return False
+
+
+@compiled
+def nearest_number(rows: Array, lower: Array, upper: Array, tolerance: float, x: Array) -> bool:
+    """Write the same as `active_set` for p = 1 or 0: the number nearest to 0 in the intersection of k intervals."""
+    k, p = rows.shape
+    least, most = -math.inf, math.inf
+    for i in range(k):
+        factor = rows[i, 0] if p > 0 else 0.0
+        if factor == 0.0:
+            if lower[i] > tolerance or upper[i] < -tolerance:
+                return False
+            continue
+        one, other = lower[i] / factor, upper[i] / factor
+        slack = tolerance / abs(factor)
+        low, high = min(one, other), max(one, other)
+        if low > most + slack or high < least - slack:
+            return False
+        least, most = max(least, low), min(most, high)
+    if p > 0:
+        x[0] = min(max(0.0, least), most)
+    return True
 
 
 @compiled
@@ -141,6 +167,8 @@ def _let_go(basis: Array, r: Array, leaves: int, held: int) -> None:
 def daqp_active_set(rows: Array, lower: Array, upper: Array, tolerance: float, x: Array) -> bool:
     """Write the same as `active_set`, by DAQP."""
     k, p = rows.shape
+    if p <= 1:
+        return nearest_number(rows, lower, upper, tolerance, x)
     solution, _, flag, _ = daqp.solve(
         np.eye(p), np.zeros(p), rows, upper, lower, np.zeros(k, dtype=np.int32), primal_tol=tolerance
     )

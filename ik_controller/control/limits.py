@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.control.interval import stop_together
-from ik_controller.control.kernel import BOUNDS, JOINT_BOUNDS, VELOCITY, held_by, velocity_interval
+from ik_controller.control.kernel import held_by
+from ik_controller.control.reach import BOUNDS, JOINT_BOUNDS, VELOCITY, velocity_interval
 from ik_controller.control.status import LIMITS, Limit
 from ik_controller.kinematics.model import RobotModel
 

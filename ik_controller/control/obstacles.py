@@ -28,9 +28,9 @@ import daqp
 import numpy as np
 from numpy.typing import NDArray
 
-from ik_controller.control.kernel import BOUNDS
 from ik_controller.control.limits import JointLimits
 from ik_controller.control.obstacle_rows import MOST_ROWS, hardest_stop, obstacle_rows
+from ik_controller.control.reach import BOUNDS
 from ik_controller.control.status import Limit
 from ik_controller.errors import ModelError, ParameterError, choices
 from ik_controller.kinematics.accelerate import compiled

@@ -16,6 +16,7 @@ from ik_controller.kinematics.accelerate import HAS_NUMBA, compiled
 Array = NDArray[np.float64]
 
 DEPENDENT = 1e-8  # share of the longest row's square that a row must add to count as another direction
+_WELL = 1e6  # tr(MMᵀ) · tr((MMᵀ)⁻¹), above the square of the condition number
 _SWEEPS = 30  # Jacobi converges quadratically: six or seven are usual
 
 
@@ -221,6 +222,49 @@ def turn_back(matrix: Array, factor: Array, rank: int, vector: Array) -> None:
             vector[j] -= total * matrix[k, j]
 
 
+@compiled
+def loop_row_space(matrix: Array, wanted: Array) -> tuple[Array, Array]:
+    """Return (N (n − r, n), b (n,)) of M (m, n) of rank r, which is overwritten: orthonormal rows N with M Nᵀ = 0, and
+    the shortest b with M b = `wanted` (m,), as far as M's rows reach.
+    """
+    m, n = matrix.shape
+    space, order = np.empty((2, m)), np.empty(m, dtype=np.int64)
+    corner, factor = space[0], space[1]
+    rank = reflect_rows(matrix, corner, factor, order)
+    result = np.zeros((n - rank + 1, n))
+    null, shortest = result[: n - rank], result[n - rank]
+    for i in range(n - rank):
+        null[i, rank + i] = 1.0
+        turn_back(matrix, factor, rank, null[i])
+    for i in range(rank):  # b = Q L⁻¹ P wanted
+        total = wanted[order[i]]
+        for j in range(i):
+            total -= matrix[i, j] * shortest[j]
+        shortest[i] = total / corner[i]
+    turn_back(matrix, factor, rank, shortest)
+    return null, shortest
+
+
+def numpy_row_space(matrix: Array, wanted: Array) -> tuple[Array, Array]:
+    """Return the same as `loop_row_space`; for well-conditioned M with one column more than rows by I − Mᵀ(MMᵀ)⁻¹M,
+    any column of which is along N.
+    """
+    m, n = matrix.shape
+    if n != m + 1:
+        return loop_row_space(matrix, wanted)
+    squares: Array = matrix.dot(matrix.T)
+    factor = eigenpy.LLT(squares)
+    inverse: Array = factor.solve(np.eye(m))
+    definite = factor.info() == eigenpy.ComputationInfo.Success
+    if not (definite and 0.0 < inverse.trace() * squares.trace() < _WELL):
+        return loop_row_space(matrix, wanted)
+    back: Array = matrix.T.dot(inverse)
+    rest = np.eye(n) - back.dot(matrix)
+    column = int(rest.diagonal().argmax())
+    null: Array = rest[column : column + 1] / math.sqrt(rest.item(column, column))
+    return null, back.dot(wanted[:m])
+
+
 def eigen_spectrum(matrix: Array) -> tuple[Array, Array]:
     """Return the same as `jacobi_spectrum`, by Eigen."""
     solver = eigenpy.SelfAdjointEigenSolver(matrix)
@@ -241,7 +285,7 @@ def numpy_gram(matrix: Array) -> Array:
 
 if HAS_NUMBA:
     spectrum, times, transposed_times, gram = jacobi_spectrum, loop_times, loop_transposed_times, loop_gram
-    product = loop_product
+    product, row_space = loop_product, loop_row_space
 else:
     spectrum, times, transposed_times, gram = eigen_spectrum, np.dot, numpy_transposed_times, numpy_gram  # type: ignore[assignment]
-    product = np.dot  # type: ignore[assignment]
+    product, row_space = np.dot, numpy_row_space  # type: ignore[assignment]

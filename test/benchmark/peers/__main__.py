@@ -1,7 +1,8 @@
-"""Solve the same poses by other libraries, each in an environment of its own: python test/benchmark/peers [poses].
+"""The same jobs by other libraries, each in an environment of its own: python test/benchmark/peers [poses].
 
-Environments are kept in .venv-peers/. A peer that does not install is named in the table as such. Every answer, ours
-too, is checked by our kinematics against 1e-6 m, 1e-6 rad and the joint limits.
+Solving poses, then a step towards a moving pose (`steps`). Environments are kept in .venv-peers/. A peer that does not
+install is named in the table as such. Every answer, ours too, is checked by our kinematics; a pose counts as solved
+within 1e-6 m, 1e-6 rad and the joint limits.
 """
 
 from __future__ import annotations
@@ -9,14 +10,11 @@ from __future__ import annotations
 import subprocess
 import sys
 import tempfile
-import venv
-import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
+from environments import HERE, bare_urdf, environment
 
-HERE = Path(__file__).parent
-ENVIRONMENTS = HERE.parents[2] / ".venv-peers"
 sys.path.insert(0, str(HERE.parent))
 
 # name in the table → (script here, what to install)
@@ -27,29 +25,11 @@ PEERS = {
 }
 
 
-def environment(script: str, packages: list[str]) -> Path | str:
-    """Return the Python of a peer's environment, made on first use, or why there is none."""
-    folder = ENVIRONMENTS / Path(script).stem
-    python, ready = folder / "bin" / "python", folder / "ready"
-    if ready.exists() and ready.read_text() == "\n".join(packages):
-        return python
-    venv.create(folder, with_pip=True, clear=True)
-    done = subprocess.run(
-        [python, "-m", "pip", "--disable-pip-version-check", "--no-input", "--quiet", "install", *packages],
-        capture_output=True,
-        text=True,
-    )
-    if done.returncode != 0:
-        last = [line for line in done.stderr.splitlines() if line.strip()][-1:]
-        return f"does not install: {''.join(last)[:90]}"
-    ready.write_text("\n".join(packages))
-    return python
-
-
 def main() -> None:
-    """Print one table, robot by robot, so that what is compared ran side by side."""
+    """Print the tables, robot by robot, so that what is compared ran side by side."""
     from bench_solve import HEADER, row, time_solver
     from solve_problems import problems, solved
+    from steps import compare_steps
 
     count = int(sys.argv[1]) if len(sys.argv) > 1 else 1000
     pythons = {name: environment(*peer) for name, peer in PEERS.items()}
@@ -84,17 +64,7 @@ def main() -> None:
                     continue
                 with np.load(result) as got:
                     print(row(name, problem.robot, solved(problem, got["answers"]), got["seconds"]))
-
-
-def bare_urdf(path: Path, folder: Path) -> Path:
-    """Return a copy without looks: some peers would load meshes from ROS packages that are not there."""
-    tree = ElementTree.parse(path)
-    for link in tree.getroot().findall("link"):
-        for looks in [*link.findall("visual"), *link.findall("collision")]:
-            link.remove(looks)
-    bare = folder / "robot.urdf"
-    tree.write(bare)
-    return bare
+    compare_steps()
 
 
 def screws(model) -> dict[str, np.ndarray]:
