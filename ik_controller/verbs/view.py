@@ -82,10 +82,13 @@ def _play(arguments: argparse.Namespace, opened: Any) -> None:
 
 
 def _simulate(arguments: argparse.Namespace, opened: Any) -> None:
+    from ik_controller.robots import build_model
     from ik_controller.verbs.common import parameters_from
     from ik_controller.verbs.processes import Processes, private_graph, start_arm
 
-    title = parameters_from(arguments).robot or Path(arguments.urdf).stem  # says what is wrong before anything starts
+    parameters = parameters_from(arguments)
+    build_model(parameters)  # says what is wrong with it before anything starts
+    title = parameters.robot or Path(arguments.urdf).stem
     output = Path(arguments.output)
     try:
         output.mkdir(parents=True, exist_ok=True)

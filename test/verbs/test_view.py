@@ -71,6 +71,7 @@ def test_without_its_extra_the_verb_says_what_to_install(monkeypatch, capsys):
         (["--bag", "nowhere"], "nowhere"),
         (["--port", "99999"], "--port 99999"),
         (["--sim", "--robot", "r2d2"], "bundled robots"),
+        (["--sim", "--robot", "panda", "--tip", "x"], "there are: panda_link0"),
         (["--bag", str(BAGS / "panda_figure_eight")], "holds no run"),
     ],
 )
