@@ -332,7 +332,7 @@ def test_memory_stays_flat_over_two_million_cycles(tmp_path: Path) -> None:
         f"{result.cycles} cycles, {result.real_time_factor:.1f} x real time; "
         f"resident {resident[1]:.1f} MB after a twentieth, {max(resident[1:]):.1f} MB at most"
     )
-    assert max(resident[1:]) < resident[1] + 2.0  # a byte kept of each cycle would be 2 MB
+    assert max(resident[1:]) < resident[1] + 4.0  # a pointer kept of each cycle would be 16 MB
 
 
 @pytest.mark.parametrize("robot", ["panda", "ur5e"])
