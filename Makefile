@@ -32,8 +32,9 @@ demo: $(KERNELS)  ## the main job: simulated arm, node and target streamer over 
 view: $(KERNELS) $(VIEW)  ## a simulated arm in the browser: drag its target
 	@$(BIN)/ik_controller view --sim
 
+# Two at a time, a file as a whole: most tests wait for processes more than they compute.
 test: $(KERNELS) $(DEV)  ## the test suite
-	@$(BIN)/python -m pytest -m "not soak"
+	@$(BIN)/python -m pytest -m "not soak" -n 2 --dist loadfile
 
 soak: $(KERNELS) $(DEV)  ## checks too long for every day
 	@$(BIN)/python -m pytest -m soak

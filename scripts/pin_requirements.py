@@ -27,7 +27,7 @@ FILES = {
     "requirements-view.txt": ("What the live page (ik_controller view) needs besides.", ["viser"]),
     "requirements-dev.txt": (
         "What tests and lint need besides.",
-        ["pytest", "hypothesis", "ruff", "mypy", "mcap-ros2-support", "example-robot-data",
+        ["pytest", "pytest-xdist", "hypothesis", "ruff", "mypy", "mcap-ros2-support", "example-robot-data",
          "catkin_pkg", "playwright", "pyarrow"],
     ),
     "requirements-ros.txt": (
