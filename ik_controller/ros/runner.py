@@ -24,7 +24,7 @@ from ik_controller.ros.clock import SimulatedLoop
 from ik_controller.ros.inputs import Inputs
 from ik_controller.ros.loop import Loop, undisturbed
 from ik_controller.ros.markers import MarkerOutput
-from ik_controller.ros.monitor import Monitor
+from ik_controller.ros.monitor import Account, Monitor
 from ik_controller.ros.optional import optional
 from ik_controller.ros.outputs import Outputs, StatusOutput
 from ik_controller.ros.publishers import PublisherWatch
@@ -67,6 +67,7 @@ class Runner:
         self._thread = threading.Thread(target=self._run, name="loop")
         self.monitor = Monitor(self.session, self._loop, self.recorder, self._notes)
         self._told: tuple[Any, ...] = ()
+        self._account: Account | None = None  # to be told in the next cycle
         self.set_rates(parameters)
 
     def _loop_of(self, node: Node) -> Loop | SimulatedLoop:
@@ -158,11 +159,15 @@ class Runner:
         self.monitor.cycle(index, now, late)
         if index % self._monitor_every == 0:
             self._record(now, self._outputs.tell(now, session, step))
-        if index % _LOOK == 0:
+        # What takes long is spread over the cycles, so that none of them runs into the next.
+        if index % _LOOK == _LOOK // 2:
             glance = self.monitor.glance()
-            if index % self._status_every == 0 or glance != self._told:
+            if index % self._status_every == _LOOK // 2 or glance != self._told:
                 self._told = glance
-                self._tell_status(now, index % self._second < self._status_every)
+                self._account = self.monitor.account(now)
+        elif self._account is not None:
+            self._tell_status(now, self._account, index % self._second < self._status_every)
+            self._account = None
         if index % self._second == self._second // 2:
             gc.collect(1)
         if self._stop and step is None:
@@ -209,15 +214,16 @@ class Runner:
             self._loop.stop = True
             return
         if not self._now:  # before the first tick there is no time to write to a bag
-            self._tell_status(self._node.get_clock().now().nanoseconds, False)
+            now = self._node.get_clock().now().nanoseconds
+            self._tell_status(now, self.monitor.account(now), False)
             return
         self.recorder.switch(self.session, self._now)
         while self._events:
             self._apply(self._events.popleft(), self._now)
-        self._tell_status(self._now, False)
+        self._tell_status(self._now, self.monitor.account(self._now), False)
 
-    def _tell_status(self, now: int, diagnostics: bool) -> None:
-        self._record(now, [("status", self._status.tell(now, self.monitor.account(now), diagnostics))])
+    def _tell_status(self, now: int, account: Account, diagnostics: bool) -> None:
+        self._record(now, [("status", self._status.tell(now, account, diagnostics))])
         if self._servo is not None:
             self._servo.tell(self.session.status, self.session.model.joint_names)
 
