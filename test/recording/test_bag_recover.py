@@ -58,7 +58,7 @@ def others_bag(path: Path, compression: CompressionType, chunked: bool, profile:
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
 def test_truncated_anywhere_every_complete_chunk_comes_back(tmp_path: Path, compression: str) -> None:
-    """The chunks and where they end are taken from the official reader's view of the whole file. 165 cuts in all."""
+    """The chunks and where they end are taken from the official reader's view of the whole file. 207 cuts in all, 162 of them at random places."""
     _, written = write_bag(tmp_path / "bag", 120, flush_interval=0.002, compression=compression)
     whole = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
     indexes = chunk_indexes(whole)
@@ -70,7 +70,7 @@ def test_truncated_anywhere_every_complete_chunk_comes_back(tmp_path: Path, comp
     assert sizes[-1] == len(written)
     generator = random.Random(7)
     # anywhere, and at the edges of chunks, where it is easy to be off by one
-    cuts = [generator.randrange(1, len(whole)) for _ in range(40)] + [
+    cuts = [generator.randrange(1, len(whole)) for _ in range(54)] + [
         generator.choice(ends) + generator.choice([-1, 0, 1]) for _ in range(15)
     ]
     for number, cut in enumerate(cuts):

@@ -198,17 +198,17 @@ def print_held(runners: dict[str, Runner | str], given: dict[str, Any], folder: 
     print(
         f"\na straight line of {LENGTH} m in {LINE_TIME:.0f} s at {1.0 / DT:.0f} Hz: position error max / RMS, rotation"
     )
-    print(f"{'':26s}{'free':>32s}{'one joint held at its bound':>32s}")
+    print(f"{'':26s}{'free':>36s}{'one joint held at its bound':>36s}")
     for name, runner in runners.items():
         text = ""
         for case in ("free", "held"):
             file = folder / "path.npy"
             answer = runner.ask(case, str(file)) if isinstance(runner, Runner) else runner
             if answer != 0.0:
-                text += f"{answer!s:>32s}"
+                text += f"{answer!s:>36s}"
                 continue
             most, mean, turn = errors(np.load(file), given["line"])
-            text += f"{f'{most * 1e6:.3g} / {mean * 1e6:.3g} µm, {turn * 1e6:.3g} µrad':>32s}"
+            text += f"{f'{most * 1e6:.3g} / {mean * 1e6:.3g} µm, {turn * 1e6:.3g} µrad':>36s}"
         print(f"{name:26s}{text}")
 
 
