@@ -58,7 +58,10 @@ def others_bag(path: Path, compression: CompressionType, chunked: bool, profile:
 
 @pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
 def test_truncated_anywhere_every_complete_chunk_comes_back(tmp_path: Path, compression: str) -> None:
-    """The chunks and where they end are taken from the official reader's view of the whole file. 207 cuts in all, 162 of them at random places."""
+    """The chunks and where they end are taken from the official reader's view of the whole file.
+
+    207 cuts in all, 162 of them at random places.
+    """
     _, written = write_bag(tmp_path / "bag", 120, flush_interval=0.002, compression=compression)
     whole = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
     indexes = chunk_indexes(whole)
