@@ -21,6 +21,7 @@ import yaml
 from bag_samples import ARRAY, wait_until
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
+from small_disk import small_disk as disk_of
 
 from ik_controller.messages import cdr
 from ik_controller.recording.reader import open_bag
@@ -175,13 +176,8 @@ def test_killed_at_100_random_moments(runs: subprocess.Popen[str], tmp_path: Pat
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A file system of 3 MiB of its own."""
-    disk = tmp_path / "disk"
-    disk.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=3m", "tmpfs", str(disk)]
-    if shutil.which("mount") is None or subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("cannot mount a tmpfs here")
-    yield disk
-    subprocess.run(["umount", str(disk)], check=True)
+    with disk_of(tmp_path / "disk", 3) as disk:
+        yield disk
 
 
 def fill_until_interrupted(writer: BagWriter, start: int = 0) -> int:

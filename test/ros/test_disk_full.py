@@ -7,7 +7,6 @@ import itertools
 import os
 import shutil
 import statistics
-import subprocess
 import time
 from collections import defaultdict
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
+from small_disk import small_disk
 
 from ik_controller.messages import cdr
 from ik_controller.recording.reader import open_bag
@@ -33,13 +33,8 @@ _LONG = 60.0  # [s] of a full disk, in which more waits than there is room for
 @pytest.fixture
 def disk(tmp_path: Path) -> Iterator[Path]:
     """A file system of 128 MiB of its own."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=128m", "tmpfs", str(folder)]
-    if shutil.which("mount") is None or subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("cannot mount a tmpfs here")
-    yield folder
-    subprocess.run(["umount", str(folder)], check=True)
+    with small_disk(tmp_path / "disk", 128) as folder:
+        yield folder
 
 
 def fill(disk: Path) -> None:
