@@ -55,8 +55,8 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "ik_controller = ik_controller.cli:main",
-            "ik_controller_node = ik_controller.ros.process:run",
+            "ik_controller = ik_controller.cli:run",
+            "ik_controller_node = ik_controller.ros.__main__:run",
         ],
     },
     zip_safe=False,

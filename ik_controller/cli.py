@@ -10,6 +10,7 @@ import importlib
 import os
 import sys
 
+from ik_controller.endings import end_when_told, leave
 from ik_controller.errors import IkControllerError, choices
 from ik_controller.verbs.common import print_error
 
@@ -84,8 +85,16 @@ def main(arguments: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except KeyboardInterrupt:
-        return 130
+        return 0 if options.verb in ROS_VERBS else 130
+
+
+def run() -> None:
+    """Be the process `ik_controller`."""
+    if sys.argv[1:2] and sys.argv[1] in ROS_VERBS:
+        end_when_told()
+        leave(main())
+    sys.exit(main())
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run()

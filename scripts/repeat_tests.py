@@ -1,18 +1,42 @@
 """Run tests many times in a row, on a loaded machine if asked for, and count: `make repeat`, or
 
 python scripts/repeat_tests.py --times 20 --load 2 test/ros
+
+Each round is a process of its own, forked from this one when the kernels are loaded: that would take seconds each time.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import re
 import subprocess
 import sys
+import tempfile
 import time
 from collections import Counter
+from typing import IO
+
+import pytest
+
+from ik_controller.robots import build_model, bundled_parameters
+from ik_controller.session import Session
 
 BUSY = [sys.executable, "-c", "while True: pass"]
+OPTIONS = ["-q", "-m", "not soak", "-p", "no:cacheprovider", "-rfE"]
+
+
+def run_round(tests: list[str], output: IO[bytes]) -> int:
+    """Run tests in a child of this process, with what they say in a file; return pytest's exit code."""
+    child = os.fork()
+    if child == 0:
+        for stream in (1, 2):
+            os.dup2(output.fileno(), stream)
+        code = pytest.main([*OPTIONS, *tests])
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
 def main() -> int:
@@ -22,25 +46,29 @@ def main() -> int:
     parser.add_argument("--times", type=int, default=20, help="rounds (20)")
     parser.add_argument("--load", type=int, default=0, help="busy processes beside the tests (0)")
     options = parser.parse_args()
-    pytest = [sys.executable, "-m", "pytest", "-q", "-m", "not soak", "-p", "no:cacheprovider", "-rfE", *options.tests]
+    parameters = bundled_parameters("panda")
+    Session(build_model(parameters), parameters).warm_up()
     failures: Counter[str] = Counter()
     passed = 0
     busy = [subprocess.Popen(BUSY) for _ in range(options.load)]
     try:
         for number in range(1, options.times + 1):
             begin = time.monotonic()
-            done = subprocess.run(pytest, capture_output=True, text=True, check=False)
-            failed = re.findall(r"^(?:FAILED|ERROR) (\S+)", done.stdout, re.MULTILINE)
-            if done.returncode not in (0, 1):
-                print(done.stdout, done.stderr, file=sys.stderr)
+            with tempfile.TemporaryFile() as output:
+                code = run_round(options.tests, output)
+                output.seek(0)
+                said = output.read().decode(errors="replace")
+            failed = re.findall(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
+            if code not in (0, 1):
+                print(said, file=sys.stderr)
                 return 2
             failures.update(failed)
-            passed += not failed
+            passed += code == 0
             print(
                 f"round {number}: {len(failed)} failed, {time.monotonic() - begin:.0f} s {' '.join(failed)}", flush=True
             )
             if failed:
-                print(done.stdout, file=sys.stderr, flush=True)
+                print(said, file=sys.stderr, flush=True)
     finally:
         for process in busy:
             process.kill()

@@ -11,7 +11,7 @@ import pytest
 
 PACKAGE = Path(__file__).parent.parent / "ik_controller"
 # Each room may import from those before it.
-ROOMS = ["errors", "findings", "parameter_spec", "parameter_file", "parameters",
+ROOMS = ["endings", "errors", "findings", "parameter_spec", "parameter_file", "parameters",
          "share", "kinematics", "robots", "control", "messages", "session", "recording", "report", "view",
          "ros", "testing", "verbs", "cli"]  # fmt: skip
 # What only some rooms may know, wherever in a module the import stands.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 from ik_controller.control.simulated_arm import SimulatedArm
+from ik_controller.endings import on_signal
 from ik_controller.errors import MessageError
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.messages.cdr import JointStateReader, JointStateWriter
@@ -61,8 +61,7 @@ def simulate(
     def stop(*_: Any) -> None:
         loop.stop = True
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
+    on_signal(stop)
     node.get_logger().info(f"simulating {len(model.joint_names)} joints at {rate:g} Hz")
     try:
         loop.run()

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gc
 import os
-import signal
 import sys
 import threading
 from collections.abc import Sized
@@ -14,6 +12,7 @@ import rclpy
 from rclpy.exceptions import InvalidNamespaceException, InvalidNodeNameException
 from rclpy.node import Node
 
+from ik_controller.endings import leave, on_signal
 from ik_controller.errors import IkControllerError, ParameterError
 from ik_controller.ros.node import ControllerNode
 from ik_controller.ros.start import start_ros
@@ -84,8 +83,7 @@ def main(arguments: list[str] | None = None) -> int:
     def stop(*_: Any) -> None:
         os.write(waker, b".")
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
+    on_signal(stop)
     failures: list[Exception] = []
 
     def serve(node: ControllerNode) -> None:
@@ -110,9 +108,7 @@ def main(arguments: list[str] | None = None) -> int:
             while thread.is_alive() and not node.preparing:
                 thread.join(0.1)
         if any(thread.is_alive() for thread in threads):  # compiling, which takes long and cannot be broken off
-            code = _outcome(failures)
-            sys.stderr.flush()
-            os._exit(code)
+            leave(_outcome(failures))
     except IkControllerError as error:
         failures.append(error)
     finally:
@@ -120,18 +116,3 @@ def main(arguments: list[str] | None = None) -> int:
             node.destroy_node()
         rclpy.try_shutdown()
     return _outcome(failures)
-
-
-def run() -> None:
-    """Be the process: end at once after `main`, for taking Numba and all its objects apart takes seconds, and a launch
-    file kills who does not end.
-    """
-    code = main()
-    gc.collect()  # what holds the node goes, so that others see it leave
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
-
-
-if __name__ == "__main__":
-    run()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from collections.abc import Callable
 from typing import Any
@@ -15,10 +14,13 @@ from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 
+from ik_controller.endings import on_signal
 from ik_controller.errors import IkControllerError
 from ik_controller.recording.target_bag import TargetBag, restamped
 from ik_controller.ros.polling import PolledGroup, PolledSubscription
 from ik_controller.ros.start import full_name, start_ros
+
+_PIECE = 0.1  # [s] that a sleep may last
 
 _KINDS = {
     "target_pose": PoseStamped,
@@ -52,8 +54,7 @@ def stream(
         nonlocal stopped
         stopped = True
 
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
+    on_signal(stop)
     publishers: dict[str, Any] = {}
     try:
         roles = sorted(targets.roles)
@@ -81,9 +82,9 @@ def stream(
             for target in targets:
                 if duration is not None and target.time > duration * 1e9:
                     break
-                wait = start + target.time - time.monotonic_ns()
-                if wait > 0:
-                    time.sleep(wait * 1e-9)
+                # In pieces, for the next target may be far off when we are told to end.
+                while not stopped and (wait := start + target.time - time.monotonic_ns()) > 0:
+                    time.sleep(min(wait * 1e-9, _PIECE))
                 if stopped:
                     break
                 publishers[target.role].publish(restamped(target.data, epoch + target.time))

@@ -6,7 +6,6 @@ Sent only while something is held; when it is let go the stream ends, and the no
 from __future__ import annotations
 
 import shutil
-import signal
 import sys
 import time
 from typing import Any
@@ -21,6 +20,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import Joy
 from std_srvs.srv import SetBool, Trigger
 
+from ik_controller.endings import on_signal
 from ik_controller.errors import IkControllerError
 from ik_controller.messages import cdr
 from ik_controller.ros.joystick import JoyMapping
@@ -208,8 +208,7 @@ def teleop(
 ) -> None:
     """Steer the node `target` by hand until the user ends it."""
     hands = Teleop(target, linear, angular, frame, ros_arguments)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, hands.stop)
+    on_signal(hands.stop)
     try:
         hands.find(10.0)
         if joy is None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import threading
 import time
 from pathlib import Path
@@ -30,6 +29,7 @@ from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
 from ik_controller.control.obstacles import Scene
+from ik_controller.endings import on_signal
 from ik_controller.errors import IkControllerError, MessageError
 from ik_controller.kinematics.collision_world import World
 from ik_controller.kinematics.model import RobotModel
@@ -72,7 +72,7 @@ class Viewer:
         self.page = Page(page_title, Steering(self._drag, self._set, self._press), dark)
         self._lock = threading.Lock()
         self._goal: tuple[Any, float] | None = None  # dragged pose, and until when it is sent
-        self._stop = threading.Event()
+        self._stop = False
         self.node = node = Node("viewer", context=context, start_parameter_services=False)
         self._target = target = full_name(node, target)
         self._set_parameters = node.create_client(SetParameters, f"{target}/set_parameters")
@@ -117,21 +117,21 @@ class Viewer:
 
     def stop(self, *_: Any) -> None:
         """End `run`; for signal handlers."""
-        self._stop.set()
+        self._stop = True
 
     def run(self) -> None:
         """Watch and steer until `stop`."""
         executor = SingleThreadedExecutor(context=self.node.context)
         executor.add_node(self.node)
         start = redrawn = time.monotonic()
-        while not self._stop.is_set():
+        while not self._stop:
             begin = time.monotonic()
             executor.spin_once(timeout_sec=0.0)
             self._send_goal(begin)
             self._look(begin, begin - start, begin - redrawn >= _REDRAW)
             if begin - redrawn >= _REDRAW:
                 redrawn = begin
-            self._stop.wait(max(1.0 / _RATE - (time.monotonic() - begin), 0.001))
+            time.sleep(max(1.0 / _RATE - (time.monotonic() - begin), 0.001))
         executor.shutdown()
         self.page.close()
         self.node.destroy_node()
@@ -296,8 +296,7 @@ def view(target: str, title: str, dark: bool, opened: Any, ros_arguments: list[s
     os.nice(_NICE)  # before its threads start, which inherit it
     start_ros(ros_arguments)
     viewer = Viewer(target, title, dark)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, viewer.stop)
+    on_signal(viewer.stop)
     try:
         opened(viewer.page)
         viewer.run()

@@ -236,7 +236,7 @@ def run_of_node(folder: str, record: bool) -> dict[str, list[str]]:
     settings = ["-p", "robot:=panda", "-p", f"record_folder:={folder}", "-p", f"record:={str(record).lower()}"]
     return {
         "sim": ["ik_controller.cli", "sim"],
-        "node": ["ik_controller.ros.process", "--ros-args", *settings],
+        "node": ["ik_controller.ros", "--ros-args", *settings],
         "stream": ["ik_controller.cli", "stream", str(_targets()), "--loop", "--patience", "30"],
     }
 

@@ -98,7 +98,7 @@ def start_arm(processes: Processes, arguments: argparse.Namespace, settings: Map
         part for name, value in given.items() if value not in (None, "") for part in ("-p", f"{name}:={_yaml(value)}")
     ]
     processes.start("sim", ["ik_controller.cli", "sim", *robot])
-    processes.start("node", ["ik_controller.ros.process", "--ros-args", *listed])
+    processes.start("node", ["ik_controller.ros", "--ros-args", *listed])
 
 
 def _yaml(value: object) -> str:

@@ -10,6 +10,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
+from ik_controller.endings import on_signal
 from ik_controller.errors import IkControllerError, ParameterError
 from ik_controller.verbs.common import add_json_argument, add_model_arguments, print_json
 
@@ -76,8 +77,7 @@ def _play(arguments: argparse.Namespace, opened: Any) -> None:
 
     playback = Playback(Run(Path(arguments.bag)), Path(arguments.bag).name, arguments.dark)
     opened(playback.page)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, playback.stop)
+    on_signal(playback.stop)
     playback.run()
 
 
@@ -97,6 +97,7 @@ def _simulate(arguments: argparse.Namespace, opened: Any) -> None:
     os.environ.update(private_graph())  # of this process too, before it loads ROS
     from ik_controller.ros.viewer import view
 
+    on_signal(signal.default_int_handler)  # from here on there are processes to be ended too
     processes = Processes(output / "view.log", dict(os.environ))
     try:
         start_arm(processes, arguments, {"record_folder": str(output)})

@@ -12,7 +12,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).parent / "stand_ins"))
 
 from ik_controller.control.controller import Controller, Step
-from ik_controller.ros.process import run
+from ik_controller.ros.__main__ import run
 
 MAD = 13.0
 

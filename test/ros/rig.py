@@ -50,7 +50,7 @@ PATIENCE = 60.0  # [s] before anything that should happen is taken for not happe
 _DOMAINS = itertools.count(os.getpid())
 _LOCKS: list[Any] = []
 
-NODE = [sys.executable, "-m", "ik_controller.ros.process"]
+NODE = [sys.executable, "-m", "ik_controller.ros"]
 CLI = [sys.executable, "-m", "ik_controller.cli"]
 
 HEARD = {
