@@ -15,7 +15,8 @@ cycle no faster than the joints' accelerations allow without that help.
 Where no s in [0, 1] can hold the direction, because a joint must still brake from the last cycle, the tool may go on
 along its last velocity too: J q̇ = s₁ J q̇_wanted + s₂ ẋ_last, s₁, s₂ ≥ 0, s₁ + s₂ ≤ 1. So it leaves no straight line,
 turns from one direction into another between the two, and is no faster than the faster of them. Where that has no
-solution either, the closest velocity in the intervals is taken, with the rows G q̇ ≤ g as far as they can be kept.
+solution either, the velocity in the intervals that leaves the line least is taken, which slows down on it, or near a
+singularity the closest; with the rows G q̇ ≤ g as far as they can be kept.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ik_controller.control.interval import highest, stop_braking
 from ik_controller.control.least_distance import active_set, least_distance
 from ik_controller.kinematics.accelerate import compiled
 from ik_controller.kinematics.small import DEPENDENT, inverse_factor, row_space
@@ -37,8 +39,11 @@ ALONG, BETWEEN, CLOSEST = 0, 1, 2
 
 SCALE_WEIGHT = 1e8  # W, against joint velocities of order one
 _STACK_WEIGHT = 1e11  # W in a stack, whose secondary tasks have weights of their own
-_CLOSEST_WEIGHT = 1e-4  # pull to the wanted joint velocities beside the task, where the task cannot be held
+_CLOSEST_WEIGHT = 1e-4  # on joint velocities beside the way off the line, where the line cannot be held
 _ROW_WEIGHT = 1e8  # on the square of how far a row of G is not kept
+_CURVE_SHARE = 0.7  # of the accelerations that the path's own curvature may take where the path is slowed anyway
+_SLOWING_SHARE = 0.5  # of the accelerations by which it is slowed for that
+_SPEED_SHARE = 0.98  # of the velocity limits that a path is led to under jerk limits, where it is slowed anyway
 _TOLERANCE = 1e-12  # of bounds, as a share of the velocity limits
 
 
@@ -57,6 +62,8 @@ def bounded_velocity(
     own: Any = None,
     secondary: Any = None,
     weights: Any = None,
+    motion: Any = None,
+    ahead: bool = False,
 ) -> tuple[float, int]:
     """Write the velocity (n,) nearest to `wanted` (n,) in [`low`, `high`] that keeps the tool's direction; return s and
     how it was found.
@@ -64,7 +71,10 @@ def bounded_velocity(
     `jacobian` J (m, n); `last` ẋ_last (m,), the task velocity of the last cycle; `limit` (n,), the velocity limits;
     `step` (n,), by how much a velocity may change in a cycle; `rows` G (k, n) and `row_bounds` g (k,), k may be 0. In a
     stack of tasks, `own` (n,) is what of `wanted` the first task asks for, and `secondary` (l, n) are those that give
-    way before it does, but after what is in no task, at their `weights` (l,). The result is always in [low, high].
+    way before it does, but after what is in no task, at their `weights` (l,). `motion` (3, n): the last velocities, by
+    how much they changed in the last cycle, and by how much that change may change, inf without a jerk limit; where
+    it is given and `ahead`, the path's speed is kept where the next cycles can go on along it. The result is always in
+    [low, high].
     """
     n, m = wanted.shape[0], jacobian.shape[0]
     task, aim, largest = np.empty((m, n)), np.empty(n), 1.0
@@ -80,18 +90,35 @@ def bounded_velocity(
     if own is not None:
         omega, ease, free = math.sqrt(_STACK_WEIGHT), own / limit, null.copy()
         _weigh(free, secondary, weights, limit)
-    solved, scale = _on_path(aim, ways, omega, 0, 1.0, free, low, high, limit, rows, row_bounds, tolerance, y)
+    jerky, slowest = False, -math.inf
+    solved, scale = _on_path(aim, ways, omega, 0, 1.0, 0.0, free, low, high, limit, rows, row_bounds, tolerance, y)
     if not solved:
         for j in range(n):
             ways[0, j], ways[1, j] = -aim[j], before[j]
-        most = _most_at_ease(ease, before, null, limit, step)
-        solved, scale = _on_path(aim, ways, omega, 1, most, free, low, high, limit, rows, row_bounds, tolerance, y)
+        most = _most_at_ease(ease, ways[1], null, limit, step)
+        if motion is not None:
+            fastest, turn = math.inf, _turning(ways[1], null, limit, motion)
+            if math.isfinite(motion[2].min()):
+                slowest, jerky = _slowest(ways[1], turn, limit, step, motion), True
+                none = np.empty(0)
+                solved, fastest = _on_path(
+                    aim, ways, omega, 1, 1.0, 0.0, null, -limit, limit, limit, rows[:0], none, tolerance, y
+                )
+                fastest = _SPEED_SHARE * fastest if solved else 0.0
+            if ahead:
+                most = min(most, _most_ahead(aim, ways[1], turn, null, limit, step, motion, fastest))
+        solved, scale = _on_path(aim, ways, omega, 1, most, 0.0, free, low, high, limit, rows, row_bounds, tolerance, y)
+    # With jerk limits the tool must perhaps go on speeding up, and must not slow down too hard to land at rest.
+    for attempt in range(3 if jerky else 1):
+        if not solved:
+            found, most = BETWEEN, 1.0 if attempt == 0 else 2.0
+            least = slowest if attempt < 2 else -math.inf
+            solved, scale = _on_path(
+                aim, ways, omega, 2, most, least, free, low, high, limit, rows, row_bounds, tolerance, y
+            )
     if not solved:
-        found = BETWEEN
-        solved, scale = _on_path(aim, ways, omega, 2, 1.0, free, low, high, limit, rows, row_bounds, tolerance, y)
-    if not solved:
-        found, scale = CLOSEST, 1.0 / largest
-        _closest(aim, scale, jacobian, low, high, limit, rows, row_bounds, y)
+        found = CLOSEST
+        scale = _closest(aim, 0.0 if ahead else 1.0 / largest, jacobian, low, high, limit, rows, row_bounds, y)
     for j in range(n):
         velocity[j] = min(max(y[j] * limit[j], low[j]), high[j])
     return min(max(scale, 0.0), 1.0), found
@@ -158,12 +185,92 @@ def _most_at_ease(aim: Array, last: Array, null: Array, limit: Array, step: Arra
 
 
 @compiled
+def _turning(last: Array, null: Array, limit: Array, motion: Array) -> Array:
+    """Return by how much the joints (n,) must change in a cycle to keep the tool's velocity while J changes: J⁺ẋ_last,
+    which is `last`, − P q̇, with P onto what moves the tool.
+    """
+    n = last.shape[0]
+    turn: Array = last - motion[0] / limit
+    for i in range(null.shape[0]):
+        idle = 0.0
+        for j in range(n):
+            idle += null[i, j] * motion[0, j] / limit[j]
+        for j in range(n):
+            turn[j] += idle * null[i, j]
+    return turn
+
+
+@compiled
+def _most_ahead(
+    aim: Array, last: Array, turn: Array, null: Array, limit: Array, step: Array, motion: Array, fastest: float
+) -> float:
+    """Return the largest s after which the joints can go on along the path, as far as this cycle shows it.
+
+    `turn` grows with the square of s: it may take `_CURVE_SHARE` of the joints' accelerations. A joint that it speeds
+    up comes to its velocity limit, from where on s must fall with it: it must be slow enough for that until then. With
+    jerk limits, s itself moves like one joint whose limits are those of the joint that has the least for its part in
+    `aim`: so none lets go of its acceleration faster than the others can, before s is at `fastest`. Arrays as above.
+    """
+    n = aim.shape[0]
+    part, along, square, change = aim.copy(), 0.0, 0.0, 0.0
+    for i in range(null.shape[0]):
+        total = 0.0
+        for j in range(n):
+            total += null[i, j] * aim[j]
+        for j in range(n):
+            part[j] -= total * null[i, j]
+    unit, hardest, curve = math.inf, math.inf, 0.0
+    for j in range(n):
+        along += part[j] * last[j]
+        square += part[j] * part[j]
+        change += part[j] * (motion[1, j] / limit[j] - turn[j])
+        size = abs(aim[j]) * limit[j]
+        if size > 0.0:
+            hardest, unit = min(hardest, step[j] / size), min(unit, motion[2, j] / size)
+        if step[j] > 0.0:
+            curve = max(curve, abs(turn[j]) * limit[j] / step[j])
+    if not (square > 0.0 and along > 0.0):
+        return 1.0
+    before, change = along / square, change / square
+    if curve > _CURVE_SHARE:
+        fastest = min(fastest, before * math.sqrt(_CURVE_SHARE / curve))
+    for j in range(n):
+        speed = motion[0, j] / limit[j]
+        if turn[j] * speed > 0.0:
+            at_limit = (_CURVE_SHARE * hardest * before * before / abs(turn[j])) ** (1.0 / 3.0)
+            late = at_limit + _CURVE_SHARE * hardest * max(1.0 - abs(speed), 0.0) / abs(turn[j])
+            fastest = min(fastest, late)
+    if unit < math.inf:
+        hardest *= _SLOWING_SHARE
+        most: float = unit * highest(before / unit, change / unit, hardest / unit, fastest / unit, math.inf)
+    else:
+        most = max(fastest, before - _SLOWING_SHARE * hardest)
+    return most if most > 0.0 else 1.0
+
+
+@compiled
+def _slowest(last: Array, turn: Array, limit: Array, step: Array, motion: Array) -> float:
+    """Return the share of the last velocity b (n,) that a stop of the joints as one keeps in this cycle."""
+    unit, hardest, change, square = math.inf, math.inf, 0.0, 0.0
+    for j in range(last.shape[0]):
+        change += last[j] * (motion[1, j] / limit[j] - turn[j])
+        square += last[j] * last[j]
+        size = abs(last[j]) * limit[j]
+        if size > 0.0:
+            hardest, unit = min(hardest, step[j] / size), min(unit, motion[2, j] / size)
+    if not unit < math.inf:
+        return -math.inf
+    return 1.0 - unit * stop_braking(1.0 / unit, -change / square / unit, hardest / unit)
+
+
+@compiled
 def _on_path(
     aim: Array,
     ways: Array,
     omega: float,
     count: int,
     most: float,
+    least: float,
     null: Array,
     low: Array,
     high: Array,
@@ -175,12 +282,14 @@ def _on_path(
 ) -> tuple[bool, float]:
     """Write y = aim + Σ tᵢ waysᵢ + N z (n,) within all bounds, ‖(ω t, z)‖ the shortest; return (is there one, s₁).
 
-    `ways` (2, n), of which the first `count` are used: t₁ = 1 − s₁ with 0 ≤ s₁ ≤ `most`, and t₂ = s₂ with 0 ≤ s₂ ≤ t₁;
-    without any, s₁ = 1. `null` (n − r, n): N, transposed; ω² = W.
+    `ways` (2, n), of which the first `count` are used: t₁ = 1 − s₁ and t₂ = s₂, 0 ≤ s₁ ≤ 1; without any, s₁ = 1. With
+    one, s₁ is the nearest to `most` that there is. With two, s₁ + s₂ ≤ `most`, and what goes along ways₂ is at least
+    `least` of it. `null` (n − r, n): N, transposed; ω² = W.
     """
     n, k = aim.shape[0], row_bounds.shape[0]
     p = count + null.shape[0]
-    first = n + (3 if count == 2 else count)  # the first row of G
+    start = most if count == 1 else 1.0  # s₁ where t₁ = 0
+    first = n + (4 if count == 2 else count)  # the first row of G
     c, ends, x = np.zeros((first + k, p)), np.empty((2, first + k)), np.empty(p)
     lower, upper = ends[0], ends[1]
     for j in range(n):
@@ -188,31 +297,38 @@ def _on_path(
             c[j, way] = ways[way, j] / omega
         for column in range(count, p):
             c[j, column] = null[column - count, j]
-        lower[j], upper[j] = low[j] / limit[j] - aim[j], high[j] / limit[j] - aim[j]
+        lower[j], upper[j] = low[j] / limit[j] - start * aim[j], high[j] / limit[j] - start * aim[j]
     if count > 0:
         c[n, 0] = 1.0 / omega
-        lower[n], upper[n] = 1.0 - most, 1.0
+        lower[n], upper[n] = start - 1.0, start
     if count > 1:
         c[n + 1, 1] = 1.0 / omega
-        lower[n + 1], upper[n + 1] = 0.0, 1.0
+        lower[n + 1], upper[n + 1] = 0.0, most
         c[n + 2, 0], c[n + 2, 1] = -1.0 / omega, 1.0 / omega
-        lower[n + 2], upper[n + 2] = -math.inf, 0.0
+        lower[n + 2], upper[n + 2] = -math.inf, most - 1.0
+        along, square = 0.0, 0.0
+        for j in range(n):
+            along += aim[j] * ways[1, j]
+            square += ways[1, j] * ways[1, j]
+        along = along / square if square > 0.0 else 0.0
+        c[n + 3, 0], c[n + 3, 1] = -along / omega, 1.0 / omega
+        lower[n + 3], upper[n + 3] = least - along if square > 0.0 else -math.inf, math.inf
     for i in range(k):
         row = first + i
         size = _row_size(rows, i, limit)
         lower[row], upper[row] = -math.inf, row_bounds[i] / size
         for j in range(n):
             share = rows[i, j] * limit[j] / size
-            upper[row] -= share * aim[j]
+            upper[row] -= share * start * aim[j]
             for column in range(p):
                 c[row, column] += share * c[j, column]
     if not least_distance(c, lower, upper, tolerance, x):
         return False, 0.0
     for j in range(n):
-        y[j] = aim[j]
+        y[j] = start * aim[j]
         for column in range(p):
             y[j] += c[j, column] * x[column]
-    return True, 1.0 - x[0] / omega if count > 0 else 1.0
+    return True, start - x[0] / omega if count > 0 else 1.0
 
 
 @compiled
@@ -235,18 +351,32 @@ def _closest(
     rows: Array,
     row_bounds: Array,
     y: Array,
-) -> None:
-    """Write the y (n,) within its bounds that minimizes ‖J D⁻¹(y − s aim)‖² + c ‖y − s aim‖² + ρ ‖violation of rows‖².
+) -> float:
+    """Write the y (n,) within its bounds that minimizes ‖A D⁻¹(y − s aim)‖² + c ‖y − s aim‖² + ρ ‖violation of rows‖²,
+    s the `scale`; return the share of the wanted speed that is left.
 
-    With L Lᵀ = D⁻¹JᵀJ D⁻¹ + c I and y = s aim + L⁻ᵀx this is the shortest (x, √ρ violations).
+    A is J; for s = 0, (I − d dᵀ) J with d the wanted direction: nothing counts as much as not to leave the line, so the
+    arm slows down on it, and after a few cycles can follow it again. With L Lᵀ = D⁻¹AᵀA D⁻¹ + c I and y = s aim + L⁻ᵀx
+    this is the shortest (x, √ρ violations).
     """
     n, m, k = aim.shape[0], jacobian.shape[0], row_bounds.shape[0]
-    pull = np.zeros((n, n))
+    pull, across, direction, square = np.zeros((n, n)), np.empty((m, n)), np.zeros(m), 0.0
+    for row in range(m):
+        for j in range(n):
+            across[row, j] = jacobian[row, j] * limit[j]
+            direction[row] += across[row, j] * aim[j]
+        square += direction[row] * direction[row]
+    for j in range(n):
+        along = 0.0
+        for row in range(m):
+            along += direction[row] * across[row, j]
+        for row in range(m):
+            across[row, j] -= direction[row] * along / square if scale == 0.0 and square > 0.0 else 0.0
     for j in range(n):
         for i in range(j, n):
             pull[i, j] = _CLOSEST_WEIGHT if i == j else 0.0
             for row in range(m):
-                pull[i, j] += jacobian[row, i] * limit[i] * jacobian[row, j] * limit[j]
+                pull[i, j] += across[row, i] * across[row, j]
     _, factor = inverse_factor(pull)  # L⁻¹
     c, lower, upper, x = np.zeros((n + k, n + k)), np.empty(n + k), np.empty(n + k), np.zeros(n + k)
     for j in range(n):
@@ -271,3 +401,8 @@ def _closest(
         y[j] = scale * aim[j]
         for column in range(j, n):
             y[j] += c[j, column] * x[column]
+    speed = 0.0
+    for row in range(m):
+        for j in range(n):
+            speed += direction[row] * jacobian[row, j] * limit[j] * y[j]
+    return speed / square if scale == 0.0 and square > 0.0 else scale

@@ -42,10 +42,10 @@ def slide(
     """Return the velocity (n,) of the closest approach, before accelerations are looked at.
 
     J (6, n); `task_velocity` ẋ_d + K e (6,); `room` (2n,): way to the upper bounds, then to the lower ones; `speed`,
-    `braking` (n,): velocity limits, and the accelerations that the approach plans with; `fastest`: largest rate of K.
+    `braking`: velocity limits (n,), and the table of `braking_factor`; `fastest`: largest rate of K.
     """
     n = speed.size
-    twice = np.concatenate((braking, braking))
+    twice = np.concatenate((braking[0], braking[0]))
     room = np.clip(room, 0.0, ENDLESS)
     stoppable = 2.0 * room / (np.sqrt(dt * dt + 2.0 * room / twice) + dt)  # as in `kernel.fastest_stoppable`
     stoppable = np.fmin(stoppable, room / dt)

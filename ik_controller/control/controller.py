@@ -19,12 +19,13 @@ from ik_controller.control.closest import blocked, slide
 from ik_controller.control.gate import Gate
 from ik_controller.control.kernel import (
     BRAKING,
-    BRAKING_SHARE,
     BY_POSITION,
+    FREE,
     NOT_FINITE,
     SCALARS,
     bounded_cycle,
     braking_factor,
+    tool_is_free,
 )
 from ik_controller.control.law import Law
 from ik_controller.control.limits import JointLimits
@@ -202,8 +203,7 @@ class Controller:
         table = limits.table
         if base != "commanded" and q_measured is not None:  # for measured, against winding up on an arm held fast
             table = limits.table_around(q_measured, self.parameters.max_deviation)
-        if limits.jerky:
-            table[LAST, : self._n] = self._gate.acceleration
+        table[LAST, : self._n] = self._gate.acceleration
         if self._outside:
             outside = limits.outside(q)
             self._outside = bool(outside.any())
@@ -240,18 +240,23 @@ class Controller:
         )  # fmt: skip
         if law.by_name:
             with contextlib.suppress(ArgumentError):  # at a singularity: the damped velocity it is
-                jacobian = law.jacobian(at + 0.5 * dt * self._v)
+                jacobian = law.jacobian(self._middle(at, dt))
                 wanted = law.named_velocity(jacobian, twist, feedback, at)
                 law.bound_tool(wanted, jacobian, self._state[2 * n : 2 * n + 6], self._v, dt)
-                how, scale, joint, limit = bounded_cycle(wanted, jacobian, table, self._state, reserve, dt, out)
+                how, scale, joint, limit = bounded_cycle(wanted, jacobian, table, self._state, reserve, False, dt, out)
         if not measure:
             out[2 * n + 6 :] = error
         if scale < _STUCK and has_pose and how != NOT_FINITE:
-            tool, ask = law.jacobian(at + 0.5 * dt * self._v), law.feedback(out[2 * n + 6 :], feedback) + twist
+            tool, ask = law.jacobian(self._middle(at, dt)), law.feedback(out[2 * n + 6 :], feedback) + twist
             how, joint, limit = self._slide(tool, tool, ask, dt, table, out) or (how, joint, limit)
 
         status = Status(Code.TRACKING, scale, LIMITS[limit], joint, sigma < law.threshold, sigma, how != CLOSEST)
         return self._finish(out, how == NOT_FINITE, has_pose, status, wanted, jacobian, dt, table)
+
+    def _middle(self, at: Array, dt: float) -> Array:
+        """Return where the joints are half a cycle after `at` (n,), if they accelerate on."""
+        middle: Array = at + 0.5 * dt * (self._v + dt * self._gate.acceleration)
+        return middle
 
     def _finish(
         self,
@@ -322,7 +327,7 @@ class Controller:
         if joint < 0:
             return None
         room = table[BOUNDS] - np.concatenate((self._q, -self._q))
-        fastest, braking = law.table[SCALARS, 0], law.table[BRAKING, :n]
+        fastest, braking = law.table[SCALARS, 0], law.table[BRAKING : BRAKING + 2, :n]
         wanted = slide(task, task_velocity, room, limits.velocity, braking, fastest, dt)
         velocity = np.fmin(np.fmax(wanted, limits.low), limits.high)
         out[: 2 * n + 6] = np.concatenate((self._q + dt * velocity, velocity, jacobian @ velocity))
@@ -340,7 +345,7 @@ class Controller:
             self._limits.reserve, dt, out, detail, *stack.tables,
         )  # fmt: skip
         if scale < _STUCK and has_pose and how != NOT_FINITE:
-            tool = law.jacobian(at + 0.5 * dt * self._v)
+            tool = law.jacobian(self._middle(at, dt))
             rows, ask = stack.wanted(position, rotation, twist, out[2 * n + 6 :], law.table[:6, :6], at)
             how, joint, limit = self._slide(tool, rows @ tool, ask, dt, table, out) or (how, joint, limit)
         status = Status(Code.TRACKING, scale, LIMITS[limit], joint, sigma < law.threshold, sigma, how != CLOSEST)
@@ -353,12 +358,14 @@ class Controller:
             names = choices(self.model.joint_names)
             raise ArgumentError(f"reference: {joints.size} joints, need {self.model.n}, one for each of {names}")
         gain = self._law.slowest_gain
-        feedback = gain * (joints - self._q)
-        wanted = braking_factor(feedback, gain, BRAKING_SHARE * limits.acceleration) * feedback
-        if reference.joint_velocity is not None:
-            wanted = wanted + reference.joint_velocity
+        feedback, by_tool = gain * (joints - self._q), FREE
+        feedback = braking_factor(feedback, gain, self._law.table[BRAKING : BRAKING + 2, : self._n]) * feedback
+        forward = np.zeros(self._n) if reference.joint_velocity is None else reference.joint_velocity
+        wanted = feedback + forward
         if not math.isfinite(wanted.dot(wanted)):
             return self._stop(dt, Code.HOLDING)
+        if not tool_is_free(self._law.table):
+            wanted, by_tool = self._law.bound_joints(feedback, forward, self._middle(self._q, dt), self._state, dt)
         excess = float((np.abs(wanted) / limits.velocity).max())
         scale = 1.0 / max(excess, 1.0)
         if not self._obstacles.let(scale * wanted):
@@ -368,8 +375,14 @@ class Controller:
             return self._pass_by(wanted, None, dt, np.zeros(6), Status(Code.TRACKING))
         gap = np.abs(wanted - velocity)
         joint = int(np.argmax(gap))
-        limit = limits.which(joint, wanted.item(joint), self._v, dt) if gap.item(joint) > 0.0 else Limit.NONE
-        status = Status(Code.TRACKING, scale, limit, joint if limit is not Limit.NONE else -1)
+        if gap.item(joint) > 0.0:
+            limit = limits.which(joint, wanted.item(joint), self._v, dt)
+        else:
+            limit, joint = LIMITS[by_tool], -1
+        asked = feedback + forward
+        if by_tool != FREE:
+            scale = min(max(float(velocity.dot(asked) / asked.dot(asked)), 0.0), 1.0) if asked.any() else 1.0
+        status = Status(Code.TRACKING, scale, limit, joint)
         return self._commit(velocity, dt, np.zeros(6), status)
 
     def _pass_by(self, wanted: Array, jacobian: Array | None, dt: float, error: Array, status: Status) -> Step:

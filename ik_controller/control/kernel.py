@@ -25,17 +25,19 @@ Array = NDArray[np.float64]
 # Near a singularity the feedback K e is slowed as a whole to these speeds of the tool along any axis.
 FASTEST_APPROACH = 1.5  # [m/s]
 FASTEST_TURN = 3.0  # [rad/s]
+# From so many ε on, σ_min lets the path's speed be planned ahead: closer, what J does next is not what it did last.
+AHEAD = 1.5
 # Share of the acceleration limits that the approach to a target plans its braking with; the rest is for the moving
 # reference, the turning of J and the posture.
 BRAKING_SHARE = 0.7
 
 
-# Rows of the table of the law (10, max(n, 9)): K (6, 6), scalars, and what is given for each joint.
+# Rows of the table of the law (11, max(n, 9)): K (6, 6), scalars, and what is given for each joint.
 SCALARS = 6  # largest eigenvalue of K, gain of the posture, λ, ε, number of directions the arm can move in, and
 TOOL_SPEED, TOOL_ACCELERATION = 5, 7  # the tool's bounds: columns of that row, linear and angular, inf for none
-BRAKING = 7  # accelerations that the approach plans its braking with
-POSTURE = 8
-SEEK_LIMIT = 9  # at most so fast towards the posture
+BRAKING = 7  # accelerations a that the approach plans its braking with, and below them a²/2J
+POSTURE = 9
+SEEK_LIMIT = 10  # at most so fast towards the posture
 
 # Why a velocity was not reached: codes of `status.Limit` in its order.
 FREE, BY_VELOCITY, BY_ACCELERATION, BY_POSITION, BY_JERK, BY_TOOL_SPEED, BY_TOOL_ACCELERATION = range(7)
@@ -55,7 +57,7 @@ def held_by(joint: int, wanted: float, v: Array, dt: float, limits: Array, reach
         return BY_ACCELERATION
     if abs(abs(bound) - velocity) < 1e-9 * velocity:
         return BY_VELOCITY
-    if limits.shape[0] > JERK and limits[JERK, joint] < math.inf:
+    if limits[JERK, joint] < math.inf:
         jolt = limits[JERK, joint] * dt * dt
         if abs(abs(change - limits[LAST, joint] * dt) - jolt) < 1e-6 * jolt:
             return BY_JERK
@@ -65,14 +67,21 @@ def held_by(joint: int, wanted: float, v: Array, dt: float, limits: Array, reach
 
 
 @compiled
-def braking_factor(approach: Array, fastest: float, acceleration: Array) -> float:
-    """Return β ≤ 1 for the feedback velocity (n,): with r = max K |q̇|/a, √(2r − 1)/r where r > 1."""
-    ratio = 0.0
+def braking_factor(approach: Array, fastest: float, braking: Array) -> float:
+    """Return β ≤ 1 for the feedback velocity (n,), with which no joint is faster than it can brake to the target.
+
+    `braking` (2, n): a and c = a²/2J, 0 without a jerk limit. From v, a joint stops in v²/2a + v c/a, time to take up
+    the braking included. So far from the target v = √(c² + 2a (d − d₀)) − c for the distance d = |q̇|/K; near it, where
+    that brakes no harder, v = K d, for v < a/K − c; d₀ joins the two.
+    """
+    beta = 1.0
     for i in range(approach.shape[0]):
-        ratio = max(ratio, fastest * abs(approach[i]) / acceleration[i])
-    if ratio > 1.0:
-        return math.sqrt(2.0 * ratio - 1.0) / ratio
-    return 1.0
+        ratio = fastest * abs(approach[i]) / braking[0, i]
+        lag = fastest * braking[1, i] / braking[0, i]
+        start = max(1.0 - lag, 0.0)
+        if ratio > start:
+            beta = min(beta, (math.sqrt(lag * lag + 2.0 * ratio - start * start) - lag) / ratio)
+    return beta
 
 
 @compiled
@@ -175,7 +184,7 @@ def task_velocity(
         for j in range(n):
             steady[i] -= jacobian[i, j] * (seek[j] / ratio)
     approach = transposed_times(jacobian, times(inverse, feedback))
-    beta = share * braking_factor(approach, share * law[SCALARS, 0], law[BRAKING])
+    beta = share * braking_factor(approach, share * law[SCALARS, 0], law[BRAKING : BRAKING + 2])
     result = transposed_times(jacobian, times(inverse, steady[:m]))
     for j in range(n):
         result[j] += seek[j] / ratio + beta * approach[j]
@@ -210,9 +219,12 @@ def tool_cycle(
     n = at.shape[0]
     wanted, jacobian = detail[0], detail[1:]
     sigma, slower, by_tool = tool_velocity(
-        chain, law, state, at, position, rotation, twist, feedback, measure, dt, out[2 * n + 6 :], jacobian, wanted
+        chain, law, state, limits[LAST], at, position, rotation, twist, feedback, measure, dt, out[2 * n + 6 :],
+        jacobian, wanted,
+    )  # fmt: skip
+    how, scale, joint, limit = bounded_cycle(
+        wanted, jacobian, limits, state, reserve, sigma >= AHEAD * law[SCALARS, 3], dt, out
     )
-    how, scale, joint, limit = bounded_cycle(wanted, jacobian, limits, state, reserve, dt, out)
     return how, slower * scale, joint, by_tool if limit == FREE else limit, sigma
 
 
@@ -221,6 +233,7 @@ def tool_velocity(
     chain: Any,
     law: Array,
     state: Array,
+    acceleration: Array,
     at: Array,
     position: Array,
     rotation: Array,
@@ -235,7 +248,7 @@ def tool_velocity(
     """Write the law's velocity `wanted` (n,) within the tool's bounds, before any limit of joints, and the J (6, n)
     that it takes; return (σ_min, s, limit) with the tool's bound as the limit.
 
-    `error` e (6,) is written where `measure`; the rest as in `tool_cycle`.
+    `acceleration` (n, and more): the last ones. `error` e (6,) is written where `measure`; the rest as in `tool_cycle`.
     """
     n = at.shape[0]
     middle, tool, turn = np.empty(n), np.empty(3), np.empty((3, 3))
@@ -246,7 +259,7 @@ def tool_velocity(
         rotation_log(rotation, turn, error[3:])
         feedback = times(law[:6, :6], error)
     for j in range(n):
-        middle[j] = at[j] + 0.5 * dt * state[n + j]
+        middle[j] = at[j] + 0.5 * dt * (state[n + j] + dt * acceleration[j])  # as if the acceleration stayed
     kinematics(chain, middle, turn, tool, jacobian)
     threshold = law[SCALARS, 3]
     inverse, sigma = damped_gram_inverse(gram(jacobian), law[SCALARS, 2], threshold, int(law[SCALARS, 4]))
@@ -268,6 +281,7 @@ def bounded_cycle(
     limits: Array,
     state: Array,
     reserve: bool,
+    ahead: bool,
     dt: float,
     out: Array,
     task: Any = None,
@@ -279,7 +293,7 @@ def bounded_cycle(
     """Write the state (2n + 6,) that `wanted` (n,) leads to within the limits; return (how, s, joint, limit).
 
     J (6, n); the rest as in `tool_cycle`. A `task` (m, n) other than J with its rates of the `last` cycle (m,) is what
-    keeps its direction; `own`, `secondary` and `weights` as in `bounded_velocity`.
+    keeps its direction; `own`, `secondary`, `weights` and `ahead` as in `bounded_velocity`.
     """
     n = wanted.shape[0]
     q, v = state[:n], state[n : 2 * n]
@@ -298,18 +312,34 @@ def bounded_cycle(
                 excess, joint = over, j
         if excess > 0.0:
             limit = held_by(joint, wanted[joint], v, dt, limits, reach)
-        velocity, step = np.empty(n), np.empty(n)
+        velocity, step, motion = np.empty(n), np.empty(n), np.empty((3, n))
         for j in range(n):
             step[j] = limits[ACCELERATION, j] * dt
+            motion[0, j], motion[1, j], motion[2, j] = v[j], limits[LAST, j] * dt, limits[JERK, j] * dt * dt
         low, high = -reach[n:], reach[:n]
         rows, bounds = np.empty((0, n)), np.empty(0)  # obstacles have a problem of their own
         if task is None:
             scale, how = bounded_velocity(
-                wanted, jacobian, state[2 * n :], low, high, speeds, step, rows, bounds, velocity
-            )
+                wanted, jacobian, state[2 * n :], low, high, speeds, step, rows, bounds, velocity, None, None,
+                None, motion, ahead,
+            )  # fmt: skip
         else:
             scale, how = bounded_velocity(
-                wanted, task, last, low, high, speeds, step, rows, bounds, velocity, own, secondary, weights
+                wanted,
+                task,
+                last,
+                low,
+                high,
+                speeds,
+                step,
+                rows,
+                bounds,
+                velocity,
+                own,
+                secondary,
+                weights,
+                motion,
+                ahead,
             )
     for j in range(n):
         out[j] = q[j] + dt * velocity[j]

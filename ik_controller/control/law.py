@@ -21,13 +21,18 @@ from numpy.typing import NDArray
 from ik_controller.control.kernel import (
     BRAKING,
     BRAKING_SHARE,
+    BY_TOOL_ACCELERATION,
+    BY_TOOL_SPEED,
+    FREE,
     POSTURE,
     SCALARS,
     SEEK_LIMIT,
     TOOL_ACCELERATION,
+    TOOL_SPEED,
     bound_tool,
     braking_factor,
     longer,
+    stoppable_share,
     tool_cycle,
     tool_is_free,
 )
@@ -70,7 +75,7 @@ class Law:
         self.threshold = parameters.singular_value_threshold
         self.chain = solver_chain(model)
         self.cycle = tool_cycle if HAS_NUMBA else PlainCycle(self.chain)
-        self.table = np.zeros((10, max(n, 9)))  # rows as `kernel` numbers them
+        self.table = np.zeros((11, max(n, 9)))  # rows as `kernel` numbers them
         self.table[:6, :6] = gain
         self.table[SCALARS, :9] = (
             rates.max(),
@@ -80,7 +85,12 @@ class Law:
             _directions(model),
             *(bound or np.inf for bound in _tool_bounds(parameters)),
         )
-        self.table[BRAKING, :n] = BRAKING_SHARE * model.acceleration_limit * parameters.acceleration_scale
+        braking = BRAKING_SHARE * model.acceleration_limit * parameters.acceleration_scale
+        jerk = BRAKING_SHARE * model.jerk_limit * parameters.jerk_scale
+        braking = np.fmin(braking, np.sqrt(jerk * model.velocity_limit))  # more is not reached from full speed
+        lag = np.zeros(n)
+        np.divide(braking * braking, 2.0 * jerk, out=lag, where=np.isfinite(jerk))
+        self.table[BRAKING : BRAKING + 2, :n] = braking, lag
         self.table[POSTURE, :n] = parameters.posture if parameters.posture else 0.0
         self.table[SEEK_LIMIT, :n] = _POSTURE_SHARE * model.velocity_limit * parameters.velocity_scale
         self.stack = TaskStack(model, parameters) if is_configured(parameters) else None
@@ -108,7 +118,7 @@ class Law:
         seek = table[SCALARS, 1] * (table[POSTURE, :n] - at)
         null = seek / max(float(np.max(np.abs(seek) / table[SEEK_LIMIT, :n])), 1.0)
         steady: Array = null + sharp @ (feed_forward - jacobian @ null)
-        return steady + braking_factor(approach, table[SCALARS, 0], table[BRAKING, :n]) * approach
+        return steady + braking_factor(approach, table[SCALARS, 0], table[BRAKING : BRAKING + 2, :n]) * approach
 
     def bound_tool(self, wanted: Array, jacobian: Array, last: Array, v: Array, dt: float) -> None:
         """Bring `wanted` (n,), in place, within the tool's bounds: see `kernel.bound_tool`."""
@@ -116,6 +126,37 @@ class Law:
             table = self.table[SCALARS]
             sharp, _ = damped_gram_inverse(jacobian @ jacobian.T, float(table[2]), float(table[3]))
             bound_tool(wanted, jacobian, sharp, last, v, self.table, dt)
+
+    def bound_joints(
+        self, feedback: Array, feed_forward: Array, q: Array, state: Array, dt: float
+    ) -> tuple[Array, int]:
+        """Return the velocity (n,) towards a joint target within the tool's bounds, and which of them holds it
+        back, FREE for none.
+
+        `feedback` K (q_d − q) and `feed_forward` q̇_d (n,), at q (n,) half a cycle ahead; `state` (2n + 6): the
+        last command. The speed is such that the tool can brake in time, and that the turning of J along the way takes
+        half of its accelerations at most; the velocity goes from the last one towards that as far as they allow.
+        """
+        n, bounds, jacobian = q.size, self.table[SCALARS], self.jacobian(q)
+        v, last = state[n : 2 * n], state[2 * n : 2 * n + 6]
+        wanted = stoppable_share(jacobian @ feedback, self.table) * feedback + feed_forward
+        most = 1.0 / max(longer(jacobian @ wanted, bounds[TOOL_SPEED], bounds[TOOL_SPEED + 1]), 1.0)
+        linear, angular = bounds[TOOL_ACCELERATION : TOOL_ACCELERATION + 2] * dt
+        turning = jacobian @ v - last
+        excess = 2.0 * longer(turning, linear, angular)
+        if excess > 1.0:
+            most = min(most, float(np.linalg.norm(v) / (np.linalg.norm(wanted) * math.sqrt(excess))))
+        change = jacobian @ (most * wanted - v)
+        share = 1.0
+        for part, most_change in ((slice(0, 3), linear), (slice(3, 6), angular)):
+            # The largest σ with |turning + σ change| ≤ the bound.
+            square = float(change[part] @ change[part])
+            if square > 0.0 and most_change < math.inf:
+                middle = -float(turning[part] @ change[part]) / square
+                rest = middle * middle + (most_change**2 - float(turning[part] @ turning[part])) / square
+                share = min(share, max(middle + math.sqrt(max(rest, 0.0)), 0.0))
+        by = BY_TOOL_ACCELERATION if share < 1.0 else BY_TOOL_SPEED if most < 1.0 else FREE
+        return v + share * (most * wanted - v), by
 
     def tool_keeps(self, tool_velocity: Array, dt: float) -> float:
         """Return the share of a tool velocity (6,) that its accelerations leave at least after braking for dt [s]."""

@@ -59,12 +59,9 @@ class JointLimits:
             np.tile(self.acceleration, 2),
             own,
             np.tile(model.acceleration_limit, 2),
+            np.concatenate((self.jerk, model.jerk_limit)),
+            np.concatenate((np.zeros(model.n), model.velocity_limit)),
         ]
-        if self.jerky:
-            rows += [
-                np.concatenate((self.jerk, model.jerk_limit)),
-                np.concatenate((np.zeros(model.n), model.velocity_limit)),
-            ]
         self.table = np.vstack(rows)
         # Do the scales hold back some of the model's own acceleration or jerk?
         self.reserve = acceleration_scale < 1.0 or (self.jerky and jerk_scale < 1.0)

@@ -18,6 +18,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from ik_controller.control.kernel import (
+    AHEAD,
     BRAKING,
     FREE,
     POSTURE,
@@ -28,7 +29,7 @@ from ik_controller.control.kernel import (
     tool_is_free,
     unhurried,
 )
-from ik_controller.control.reach import ACCELERATION, BOUNDS, JERK, VELOCITY
+from ik_controller.control.reach import ACCELERATION, BOUNDS, JERK, LAST, VELOCITY
 from ik_controller.kinematics.chain import PinocchioChain
 from ik_controller.kinematics.damped_inverse import damping_factors
 
@@ -80,7 +81,7 @@ class PlainCycle:
             bounded = upper - lower < 1e9
             self._center = np.where(bounded, 0.5 * (upper + lower), 0.0)
             self._per_room = np.where(bounded, 1.0 / np.fmax(room, 1e-12), 0.0)
-        self._plain_limits = limits.shape[0] <= JERK and even and bool((velocity > 0.0).all())
+        self._plain_limits = not bool(np.isfinite(limits[JERK]).any()) and even and bool((velocity > 0.0).all())
 
     def __call__(
         self,
@@ -116,7 +117,9 @@ class PlainCycle:
         np.subtract(position, self._position, self._linear)
         np.dot(rotation, self._rotation, self._turn)
         self._angular[:] = pin.log3(self._turn)
-        np.multiply(v, 0.5 * dt, self._bent)
+        np.multiply(limits[LAST, :n], dt, self._bent)
+        np.add(v, self._bent, self._bent)
+        np.multiply(self._bent, 0.5 * dt, self._bent)
         np.add(at, self._bent, self._bent)
         jacobian = pin.computeFrameJacobian(pin_model, self._middle, self._bent, tool, pin.LOCAL_WORLD_ALIGNED)
         transposed = jacobian.T
@@ -160,7 +163,8 @@ class PlainCycle:
         excess = self._excess
         np.absolute(excess, excess)
         if not excess.max() < 1.0:  # a limit is near; so is what is not finite
-            return *bounded_cycle(wanted, detail[1:], limits, state, reserve, dt, out), sigma
+            ahead = sigma >= AHEAD * self._threshold
+            return *bounded_cycle(wanted, detail[1:], limits, state, reserve, ahead, dt, out), sigma
         np.multiply(wanted, dt, t)
         np.add(q, t, out[:n])
         out[n : 2 * n] = wanted

@@ -17,8 +17,7 @@ Array = NDArray[np.float64]
 
 ENDLESS = 1e18  # room ahead of a joint without bounds [rad or m]
 
-# Rows of the table of limits (5, 2n), or (7, 2n) where joints have jerk limits; each holds its values upward (first n)
-# and downward (last n).
+# Rows of the table of limits (7, 2n); each holds its values upward (first n) and downward (last n).
 BOUNDS = 0  # upper limits, then negated lower ones: those of this cycle [rad or m]
 VELOCITY = 1
 ACCELERATION = 2
@@ -32,7 +31,7 @@ LAST = 6  # first n: the last accelerations; last n: the model's own velocity li
 def interval_by_loops(q: Array, v: Array, dt: float, limits: Array, reserve: bool, reach: Array) -> None:
     """Write the velocities (2n,) that each joint may reach upward (first n) and downward (last n, negated).
 
-    q, v (n,): the commanded state; dt [s]; `limits` (5 or 7, 2n). With `reserve`, an acceleration or jerk limit below
+    q, v (n,): the commanded state; dt [s]; `limits` (7, 2n). With `reserve`, an acceleration or jerk limit below
     the model's own is left where only the model's own still stops a joint before its bound.
     """
     n = q.shape[0]

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.control.kernel import (
+    AHEAD,
     BRAKING,
     FREE,
     POSTURE,
@@ -45,6 +46,7 @@ from ik_controller.control.objectives import (
     add_manipulability,
     add_repulsion,
 )
+from ik_controller.control.reach import LAST
 from ik_controller.control.secondary import secondary_rows
 from ik_controller.control.selection import (
     MASK,
@@ -89,7 +91,7 @@ def add_level(rows: Array, rates: Array, gain: float, law: Array, projector: Arr
     )
     approach = transposed_times(part, times(inverse, rates))
     correction = transposed_times(part, times(inverse, times(rows, velocity)))
-    share = braking_factor(approach, gain, law[BRAKING])
+    share = braking_factor(approach, gain, law[BRAKING : BRAKING + 2])
     ratio = 1.0
     for j in range(n):
         ratio = max(ratio, share * abs(approach[j]) / (_SECONDARY_SPEED * law[SEEK_LIMIT, j]))
@@ -171,7 +173,7 @@ def stack_velocity(
     """
     m, n = rows.shape
     approach = transposed_times(rows, times(inverse, share * feedback))
-    beta = braking_factor(approach, law[SCALARS, 0], law[BRAKING])
+    beta = braking_factor(approach, law[SCALARS, 0], law[BRAKING : BRAKING + 2])
     velocity[:] = transposed_times(rows, times(inverse, feed_forward)) + beta * approach
     own[:] = velocity
     projector = np.eye(n)
@@ -226,7 +228,7 @@ def stack_cycle(
                 error[i] += frame[i, k] * beyond(raw[k], axes[TOLERANCE, k])
                 error[3 + i] += frame[i, k] * beyond(raw[3 + k], axes[TOLERANCE, 3 + k])
     for j in range(n):
-        middle[j] = at[j] + 0.5 * dt * state[n + j]
+        middle[j] = at[j] + 0.5 * dt * (state[n + j] + dt * limits[LAST, j])
     kinematics(chain, middle, turn, tool, jacobian)
     selection, moving, then = np.empty((6, 6)), twist, rotation
     frame = np.eye(3)
@@ -305,7 +307,19 @@ def stack_cycle(
         weights[int(starts[i]) : int(starts[i + 1])] = weight
         weight = max(_NEXT_WEIGHT * weight, 1.0)
     how, scale, joint, limit = bounded_cycle(
-        wanted, jacobian, limits, state, reserve, dt, out, jacobian_1, last, own, secondary[:total], weights
+        wanted,
+        jacobian,
+        limits,
+        state,
+        reserve,
+        sigma >= AHEAD * law[SCALARS, 3],
+        dt,
+        out,
+        jacobian_1,
+        last,
+        own,
+        secondary[:total],
+        weights,
     )
     return how, slower * scale, joint, by_tool if limit == FREE else limit, sigma
 

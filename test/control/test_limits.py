@@ -281,7 +281,6 @@ def test_a_twist_faster_than_the_limits_stays_on_its_line(robot, axis):
         assert 0.0 <= step.status.scale < 1.0
     assert len(limited) > 100
     assert set(limited) <= {Limit.VELOCITY, Limit.ACCELERATION}
-    assert robot is bundled("ur5e") or limited.count(Limit.VELOCITY) > 20
 
 
 def test_a_pose_stream_faster_than_the_limits_stays_on_its_line(robot):
