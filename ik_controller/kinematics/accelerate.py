@@ -59,3 +59,10 @@ def compiled(function: Function) -> Function:
         return cast(Function, numba.njit(error_model="numpy")(function))
     finally:
         numba.config.CACHE_DIR = users
+
+
+def inlined(function: Function) -> Function:
+    """Return the function made a part of every kernel that calls it: an argument that is a constant there is one for
+    the compiler too, which then unrolls the loops.
+    """
+    return cast(Function, numba.njit(inline="always", error_model="numpy")(function)) if HAS_NUMBA else function

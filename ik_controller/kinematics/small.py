@@ -11,7 +11,7 @@ import eigenpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ik_controller.kinematics.accelerate import HAS_NUMBA, compiled
+from ik_controller.kinematics.accelerate import HAS_NUMBA, compiled, inlined
 
 Array = NDArray[np.float64]
 
@@ -121,51 +121,62 @@ def loop_product(left: Array, right: Array) -> Array:
     return result
 
 
-@compiled
-def inverse_factor(matrix: Array) -> tuple[bool, Array]:
+@inlined
+def sized_inverse_factor(matrix: Array, m: int) -> tuple[bool, Array]:
     """Return (is M (m, m) positive definite, L⁻¹ of its Cholesky factor M = L Lᵀ); where it is not, the second is
     unfinished.
     """
-    m = matrix.shape[0]
-    low = np.zeros((m, m))  # L, then L⁻¹
+    low, definite = np.zeros((m, m)), True  # L, then L⁻¹
     for j in range(m):
         total = matrix[j, j]
         for k in range(j):
             total -= low[j, k] * low[j, k]
         if not total > 1e-14 * matrix[j, j]:
-            return False, low
+            definite = False
+            break
         low[j, j] = math.sqrt(total)
         for i in range(j + 1, m):
             total = matrix[i, j]
             for k in range(j):
                 total -= low[i, k] * low[j, k]
             low[i, j] = total / low[j, j]
-    for j in range(m):
-        low[j, j] = 1.0 / low[j, j]
-        for i in range(j + 1, m):
-            total = 0.0
-            for k in range(j, i):
-                total -= low[i, k] * low[k, j]
-            low[i, j] = total / low[i, i]
-    return True, low
+    if definite:
+        for j in range(m):
+            low[j, j] = 1.0 / low[j, j]
+            for i in range(j + 1, m):
+                total = 0.0
+                for k in range(j, i):
+                    total -= low[i, k] * low[k, j]
+                low[i, j] = total / low[i, i]
+    return definite, low
+
+
+@inlined
+def sized_inverse_spd(matrix: Array, m: int) -> Array:
+    """Return the inverse (m, m) of a symmetric positive definite matrix by Cholesky; zeros where it is not definite."""
+    result = np.zeros((m, m))
+    definite, low = sized_inverse_factor(matrix, m)
+    if definite:
+        for i in range(m):
+            for j in range(i + 1):
+                total = 0.0
+                for k in range(i, m):
+                    total += low[k, i] * low[k, j]
+                result[i, j] = total
+                result[j, i] = total
+    return result
+
+
+@compiled
+def inverse_factor(matrix: Array) -> tuple[bool, Array]:
+    """Return (is M (m, m) positive definite, L⁻¹ of its Cholesky factor M = L Lᵀ)."""
+    return sized_inverse_factor(matrix, matrix.shape[0])
 
 
 @compiled
 def inverse_spd(matrix: Array) -> Array:
     """Return the inverse (m, m) of a symmetric positive definite matrix by Cholesky; zeros where it is not definite."""
-    m = matrix.shape[0]
-    result = np.zeros((m, m))
-    definite, low = inverse_factor(matrix)
-    if not definite:
-        return result
-    for i in range(m):
-        for j in range(i + 1):
-            total = 0.0
-            for k in range(i, m):
-                total += low[k, i] * low[k, j]
-            result[i, j] = total
-            result[j, i] = total
-    return result
+    return sized_inverse_spd(matrix, matrix.shape[0])
 
 
 @compiled
