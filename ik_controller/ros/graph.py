@@ -19,7 +19,7 @@ from std_msgs.msg import String
 from ik_controller.findings import Finding
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.parameters import ControllerParameters
-from ik_controller.ros.reasons import LEVELS, OK, REASONS
+from ik_controller.ros.reasons import LEVELS, OK, REASONS, what_to_do
 
 _STREAMS = {"target_pose": PoseStamped, "target_twist": TwistStamped}
 _TAKEN = {**_STREAMS, "joint_states": JointState, "robot_description": String}
@@ -228,8 +228,7 @@ class Graph:
             return []
         values = {pair.key: pair.value for pair in status.values}
         keys = [key for key in values.get("reasons", "").split(", ") if key in REASONS and REASONS[key].level != OK]
-        remedies = " ".join(REASONS[key].remedy for key in keys)
-        return [Finding("warning", f"node {self._node}", f"{LEVELS[level]}: {status.message}", remedies)]
+        return [Finding("warning", f"node {self._node}", f"{LEVELS[level]}: {status.message}", what_to_do(keys))]
 
 
 def _joints(subject: str, heard: list[tuple[int, Any]], model: RobotModel) -> list[Finding]:

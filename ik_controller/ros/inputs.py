@@ -77,8 +77,7 @@ class Inputs:
     """The subscriptions of one run, from its activation on: what was sent before is not taken.
 
     A look at a subscription is not free: those that have been silent for a second take turns, so that a stream's first
-    message waits `_TURN` at most and the cycle pays for those that stream. `topics`: role → resolved topic of the
-    targets.
+    message waits `_TURN` at most and the cycle pays for those that stream. `topics`: role → resolved topic.
     """
 
     def __init__(self, node: Node, parameters: ControllerParameters) -> None:
@@ -90,8 +89,7 @@ class Inputs:
         inputs.append(("obstacles", dict(inputs)["obstacles"]._replace(reliable=False, latched=False)))
         self._entries = [_Entry(role, PolledSubscription(node, group, *settings)) for role, settings in inputs]
         self._live, self._silent = list(self._entries), deque[_Entry]()
-        several = ("joint_states", "obstacles")  # may have more than one publisher
-        self.topics = {entry.role: entry.subscription.topic for entry in self._entries if entry.role not in several}
+        self.topics = {entry.role: entry.subscription.topic for entry in self._entries}
         self._cycle = 0
         self._second = round(parameters.rate)  # cycles in it
         self._turn = max(_TURN * parameters.rate, 1.0)  # cycles in which all silent ones are looked at

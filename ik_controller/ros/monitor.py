@@ -16,7 +16,7 @@ from ik_controller.kinematics.model import RobotModel
 from ik_controller.messages import cdr
 from ik_controller.ros.clock import SimulatedLoop
 from ik_controller.ros.loop import Loop
-from ik_controller.ros.reasons import REASONS, level_of, of_status
+from ik_controller.ros.reasons import REASONS, level_of, of_status, what_to_do
 from ik_controller.ros.recorder import Recorder
 from ik_controller.session import Session
 
@@ -85,7 +85,8 @@ class Account:
 
 def idle(state: str, why: str, hardware: str) -> Account:
     """Return the account of a node in a lifecycle state other than active, and why it is in it."""
-    return Account(REASONS[state].level, f"{state}: {why}", hardware, {"state": state, "reasons": state})
+    values = {"state": state, "reasons": state, "what_to_do": what_to_do([state])}
+    return Account(REASONS[state].level, f"{state}: {why}", hardware, values)
 
 
 class Monitor:
@@ -133,7 +134,8 @@ class Monitor:
         age, feedback = session.targets.age(now), session.feedback_arrival
         reasons, sentences = list(of_status(state)), [state.sentence(names)]
         if state.code is Code.HOLDING:
-            sentences.append("none has come yet" if age is None else f"the last came {age:.1f} s ago")
+            timeout = f", command_timeout is {session.parameters.command_timeout:g} s"
+            sentences.append("none has come yet" if age is None else f"the last came {age:.1f} s ago{timeout}")
         if self._rejected_at is not None and now - self._rejected_at > _RECENT:
             self._rejected_at = None
         if self._rejected_at is not None or (state.code is Code.WAITING and session.last_rejected):
@@ -156,10 +158,15 @@ class Monitor:
         if recorder is not None and (recorder.lost or recorder.state == "interrupted"):
             reasons.append("recording")
             sentences.append(f"recording {recorder.state}: {recorder.reason}, {recorder.lost} messages lost")
+        failure = self._recorder.failure if session.parameters.record and recorder is None else ""
+        if failure:
+            reasons.append("recording")
+            sentences.append(f"not recording: {failure}")
         median, high = self._timing.percentiles()
         values = {
             "state": state.code.name.lower(),
             "reasons": ", ".join(dict.fromkeys(reasons)),
+            "what_to_do": what_to_do(reasons),
             "mode": session.parameters.mode,
             "goal": session.goal.outcome,
             "limit": state.limit.value,
@@ -185,7 +192,7 @@ class Monitor:
             "period_p99_us": f"{high:.1f}",
             "missed": str(self._loop.missed),
             "stalls": str(self._loop.stalls),
-            "recorder": "off" if recorder is None else recorder.state,
+            "recorder": recorder.state if recorder is not None else "interrupted" if failure else "off",
             "bag": str(self._recorder.folder or ""),
             "recorded_messages": "0" if recorder is None else str(recorder.messages),
             "recorder_waiting": "0" if recorder is None else str(recorder.waiting),

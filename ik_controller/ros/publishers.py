@@ -1,4 +1,4 @@
-"""Publishers: who sends on the inputs; more than one on the same input fight over the arm."""
+"""Publishers: who sends on the inputs; two who send targets fight over the arm, and somebody must send joint states."""
 
 from __future__ import annotations
 
@@ -9,10 +9,14 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 _EVERY = 0.5  # [s] between looks
+_SEVERAL = ("joint_states", "obstacles")  # may have more than one publisher
 
 
 class PublisherWatch:
-    """Looks at how many publishers each target input has, and warns or has the input refused while there are two."""
+    """Looks at how many publishers each input has, and warns or has a target input refused while there are two.
+
+    `silence` says so where nobody publishes joint states, else it is empty.
+    """
 
     def __init__(
         self, node: Node, topics: dict[str, str], policy: Callable[[], str], request: Callable[..., None]
@@ -21,7 +25,9 @@ class PublisherWatch:
         `Session.apply`.
         """
         self._node = node
-        self._topics = topics
+        self._topics = {role: topic for role, topic in topics.items() if role not in _SEVERAL}
+        self._feedback = topics["joint_states"]
+        self.silence = ""
         self._policy = policy
         self._request = request
         self._reasons: dict[str, str] = {}  # role → what there is to say
@@ -35,6 +41,8 @@ class PublisherWatch:
         return [f"{role}: {reason}" for role, reason in sorted(self._reasons.items())]
 
     def _look(self) -> None:
+        published = self._node.count_publishers(self._feedback) > 0
+        self.silence = "" if published else f"nobody publishes on {self._feedback}"
         policy = self._policy()
         for role, topic in self._topics.items():
             reason = ""

@@ -33,7 +33,7 @@ REASONS: dict[str, Reason] = {
     "finalized": Reason(STALE, "Shut down by its lifecycle service.", "End the process."),
     "waiting": Reason(
         STALE,
-        "No usable joint state has come since the activation.",
+        "No usable joint state has come since the activation; the message says whether anybody publishes them.",
         "Start the driver, remap `joint_states`; `rejected_joint_states` tells whether some did not fit.",
     ),
     "holding": Reason(OK, "No target is live: the arm rests.", "Send targets, faster than `command_timeout`."),
@@ -92,7 +92,9 @@ REASONS: dict[str, Reason] = {
         "Lower `rate`, or give the process more of the machine.",
     ),
     "recording": Reason(
-        WARN, "The recording is interrupted or has lost messages.", "Free the disk; ~/record false, then true."
+        WARN,
+        "The recording is not possible, interrupted, or has lost messages; the message says why.",
+        "Free the disk: recording goes on by itself; or another `record_folder`.",
     ),
 }
 
@@ -120,6 +122,11 @@ def of_status(status: Status) -> Iterator[str]:
 def level_of(reasons: list[str]) -> int:
     """Return the level of a list of keys: the worst; the arm's being unknown (STALE) comes before warnings alone."""
     return max((REASONS[reason].level for reason in reasons), key=(OK, WARN, STALE, ERROR).index)
+
+
+def what_to_do(reasons: list[str]) -> str:
+    """Return what to do about a list of keys, the state first."""
+    return " ".join(dict.fromkeys(REASONS[reason].remedy for reason in reasons if REASONS[reason].remedy))
 
 
 def table() -> str:

@@ -5,11 +5,13 @@ Bags are made and sealed beside the loop; it takes one up, or drops it, between 
 
 from __future__ import annotations
 
+import contextlib
 import threading
 from collections import deque
 from pathlib import Path
 from typing import Any
 
+from ik_controller.errors import BagError
 from ik_controller.recording.rosbag2 import new_bag_folder
 from ik_controller.recording.run import RunWriter
 from ik_controller.recording.writer import WriterStatus
@@ -21,6 +23,7 @@ class Recorder:
 
     def __init__(self, logger: Any) -> None:
         self.bag: RunWriter | None = None
+        self.failure = ""  # why the last start was none
         self._logger = logger
         self._wanted: RunWriter | None = None
         self._changes: deque[RunWriter | None] = deque()
@@ -34,8 +37,21 @@ class Recorder:
         return None if self._wanted is None else self._wanted.folder
 
     def start(self, session: Session, topics: dict[str, str], folder: str, name: str) -> Path:
-        """Make a bag `name`_DATE_NUMBER in `folder` and hand it to the loop; return its folder. Raises BagError."""
-        bag = RunWriter(new_bag_folder(Path(folder).expanduser(), name), session, topics)
+        """Make a bag `name`_DATE_NUMBER in `folder` and hand it to the loop; return its folder. Raises BagError, and
+        leaves nothing behind then.
+        """
+        try:
+            made = new_bag_folder(Path(folder).expanduser(), name)
+            try:
+                bag = RunWriter(made, session, topics)
+            except BagError:
+                with contextlib.suppress(OSError):
+                    made.rmdir()
+                raise
+        except BagError as error:
+            self.failure = str(error)
+            raise
+        self.failure = ""
         self._wanted = bag
         self._changes.append(bag)
         self._logger.info(f"recording to {bag.folder}")
@@ -43,6 +59,7 @@ class Recorder:
 
     def stop(self) -> None:
         """End the recording; the bag is sealed."""
+        self.failure = ""
         self._wanted = None
         self._changes.append(None)
 

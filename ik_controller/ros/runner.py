@@ -15,8 +15,10 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
+from ik_controller.control.status import Code
 from ik_controller.errors import IkControllerError
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.parameters import ControllerParameters
@@ -34,6 +36,8 @@ from ik_controller.ros.transforms import ToolFrame, Transforms
 from ik_controller.session import Session
 
 _STOP_TIME = 5.0  # [s] that braking at the end may take
+_TRY_AGAIN = 1.0  # [s] between attempts to record where that is not possible yet
+_UNHEARD = (Code.WAITING, Code.NO_FEEDBACK)  # states for want of joint states
 _LOOK = 10  # cycles between looks at whether the status has changed
 
 
@@ -92,11 +96,14 @@ class Runner:
             self._extras.append(self._servo)
         if self.session.parameters.tool_frame and optional("tf2_ros") is not None:
             self._extras.append(ToolFrame(self._node, self.session))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # a simulated one may stand
+        self._again = self._node.create_timer(_TRY_AGAIN, self._record_again, clock=steady)
         self._thread.start()
 
     def stop(self) -> None:
         """Brake, end the loop, seal the bag; return when all that is done."""
         self._stop = True
+        self._node.destroy_timer(self._again)
         self._thread.join()
         self._quiet.close()
         for extra in self._extras:
@@ -118,6 +125,11 @@ class Runner:
             name = self._node.get_fully_qualified_name().replace("/ik_controller", "").replace("/", "_")
             folder = self.recorder.start(self.session, self._outputs.topics, parameters.record_folder, f"run{name}")
         return str(folder)
+
+    def _record_again(self) -> None:
+        if self.recorder.failure and self.session.parameters.record:
+            with contextlib.suppress(IkControllerError):  # told by the status
+                self.record(self.session.parameters)
 
     def set_rates(self, parameters: ControllerParameters) -> None:
         """Take up how often to tell what."""
@@ -230,6 +242,8 @@ class Runner:
     def _notes(self) -> list[tuple[str, str]]:
         """Return reasons (keys of REASONS) and sentences that only this run knows of."""
         notes = [("publishers", warning) for warning in self._publishers.warnings]
+        if self.session.status.code in _UNHEARD and self._publishers.silence:
+            notes.append((self.session.status.code.name.lower(), self._publishers.silence))
         if self._transforms.waiting:
             notes.append(("transform", self._transforms.waiting))
         if isinstance(self._loop, SimulatedLoop) and self._loop.stands:

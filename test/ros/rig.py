@@ -46,7 +46,9 @@ os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 ROOT = Path(__file__).resolve().parents[2]
-PATIENCE = 60.0  # [s] before anything that should happen is taken for not happening
+_AT_ONCE = 1000  # messages of one topic
+_AGAIN = 10.0  # [s] before a question without an answer is asked again
+PATIENCE = 180.0  # [s] before anything that should happen is taken for not happening
 _DOMAINS = itertools.count(os.getpid())
 _LOCKS: list[Any] = []
 
@@ -225,11 +227,19 @@ class Rig:
             kind, topic, lambda _: None, QoSProfile(depth=20_000)
         )
 
+    def ignore(self, *roles: str) -> None:
+        """Listen to these no more: a long run's messages are many."""
+        for role in roles:
+            self._listener.destroy_subscription(self._subscriptions.pop(role))
+
     def listen(self) -> None:
-        """Take what has arrived."""
+        """Take what has arrived; not all at once where it comes faster than it can be taken."""
         for role, subscription in self._subscriptions.items():
             with subscription.handle:
-                while (taken := subscription.handle.take_message(subscription.msg_type, False)) is not None:
+                for _ in range(_AT_ONCE):
+                    taken = subscription.handle.take_message(subscription.msg_type, False)
+                    if taken is None:
+                        break
                     self.heard[role].append(taken[0])
                     self.arrivals[role].append(time.time_ns())
 
@@ -357,14 +367,18 @@ class Rig:
         client = self._clients[name]
         self.until(client.service_is_ready, f"the service {name}")
         self._meet(node or name.rpartition("/")[0])
-        future = client.call_async(request)
+        asked: list[Any] = []
+        again = 0.0
 
-        def answered() -> bool:
+        def answer() -> Any:
+            nonlocal again
+            if time.monotonic() > again:  # on a machine that is held up for seconds, an answer may be lost
+                again = time.monotonic() + _AGAIN
+                asked.append(client.call_async(request))
             self._executor.spin_once(timeout_sec=0.01)
-            return future.done()
+            return next((future for future in asked if future.done()), None)
 
-        self.until(answered, f"an answer of {name}")
-        return future.result()
+        return self.until(answer, f"an answer of {name}").result()
 
 
 def values_of(status: DiagnosticStatus) -> dict[str, str]:

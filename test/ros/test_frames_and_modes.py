@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -33,21 +34,20 @@ def tf(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     """A rig whose node finds tf2_ros (our stand-in, fed by /test_tf)."""
     before = os.environ.get("PYTHONPATH")
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(STAND_INS), before]))
-    made = Rig(tmp_path_factory.mktemp("tf"))
-    try:
-        made.sim = made.start_sim("--rate", "250")
-        made.node = made.start_node(robot="panda", rate=250.0, transform_timeout=0.3)
-    finally:
-        os.environ.pop("PYTHONPATH")
-        if before is not None:
-            os.environ["PYTHONPATH"] = before
-    made.until_commanding()
-    made.until_status("holding")
-    made.transforms = made._listener.create_publisher(TransformStamped, "/test_tf", 10)
-    made.until(made.transforms.get_subscription_count, "the listener of TF")
-    made.until_known("/ik_controller")
-    yield made
-    made.close()
+    with closing(Rig(tmp_path_factory.mktemp("tf"))) as made:
+        try:
+            made.sim = made.start_sim("--rate", "250")
+            made.node = made.start_node(robot="panda", rate=250.0, transform_timeout=0.3)
+        finally:
+            os.environ.pop("PYTHONPATH")
+            if before is not None:
+                os.environ["PYTHONPATH"] = before
+        made.until_commanding()
+        made.until_status("holding")
+        made.transforms = made._listener.create_publisher(TransformStamped, "/test_tf", 10)
+        made.until(made.transforms.get_subscription_count, "the listener of TF")
+        made.until_known("/ik_controller")
+        yield made
 
 
 def transform(stamp: int) -> TransformStamped:

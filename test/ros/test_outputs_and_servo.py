@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from contextlib import closing
 from types import SimpleNamespace
 from typing import Any
 
@@ -78,11 +79,8 @@ class Outputs:
 
 @pytest.fixture(scope="module")
 def outputs(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Outputs]:
-    rig = Rig(tmp_path_factory.mktemp("outputs"))
-    try:
+    with closing(Rig(tmp_path_factory.mktemp("outputs"))) as rig:
         yield Outputs(rig)
-    finally:
-        rig.close()
 
 
 def values_of(message: Any) -> np.ndarray:

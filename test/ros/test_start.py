@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from rig import NODE, ROOT, Rig, environment, next_domain
+from rig import NODE, ROOT, Rig, environment, next_domain, values_of
 
 from ik_controller.ros.process import main
 
@@ -63,9 +63,16 @@ def test_a_mistake_is_one_line_and_exit_code_2(
 def test_a_folder_that_cannot_be_written_is_told_and_the_arm_still_runs(rig: Rig) -> None:
     (rig.folder / "file").write_text("no folder")
     node = rig.start_node(robot="panda", rate=200.0, record_folder=str(rig.folder / "file"))
-    rig.until_status("waiting")
+    rig.until_status("waiting for the first joint state; nobody publishes on /joint_states")
     assert "not recording" in node.err
+    status = rig.until_status("not recording: cannot record below ")
+    assert values_of(status)["recorder"] == "interrupted"
+    assert "recording" in values_of(status)["reasons"].split(", ")
     assert not rig.call("record", True).success
+    (rig.folder / "file").unlink()
+    status = rig.until_new("status", lambda s: values_of(s)["recorder"] == "recording", "it to record by itself")
+    assert "recording" not in values_of(status)["reasons"].split(", ")
+    assert values_of(status)["bag"].startswith(str(rig.folder / "file"))
     node.send(signal.SIGINT)
     assert node.wait() == 0, node.err
 

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -62,19 +62,24 @@ def test_every_code_and_limit_has_a_reason_and_every_reason_a_provocation() -> N
 @pytest.fixture(scope="module")
 def cell(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     """An arm with every kind of limit, at 250 Hz; and a second node, "bystander", that waits for a clock."""
-    made = Rig(tmp_path_factory.mktemp("cell"))
-    made.hear("bystander", DiagnosticStatus, "/bystander/status")
-    apart = ["-r", "__node:=bystander", "-r", "joint_commands:=elsewhere", "-p", "record:=false"]
-    made.start("bystander", [*NODE, "--ros-args", *apart, "-p", "robot:=panda", "-p", "use_sim_time:=true"])
-    made.sim = made.start_sim("--rate", "500")
-    command = [sys.executable, str(Path(__file__).parent / "faulty_node.py"), *NODE[3:]]
-    settings = {**PLAIN, "robot": "panda", "rate": 250.0, "jerk_limits": JERK, "record_folder": made.folder / "runs"}
-    settings |= {"self_collision": "true", "obstacle_avoidance": "true"}
-    given = [part for name, value in settings.items() for part in ("-p", f"{name}:={value}")]
-    made.node = made.start("node", [*command, "--ros-args", *given])
-    made.until_status("holding")
-    yield made
-    made.close()
+    with closing(Rig(tmp_path_factory.mktemp("cell"))) as made:
+        made.hear("bystander", DiagnosticStatus, "/bystander/status")
+        apart = ["-r", "__node:=bystander", "-r", "joint_commands:=elsewhere", "-p", "record:=false"]
+        made.start("bystander", [*NODE, "--ros-args", *apart, "-p", "robot:=panda", "-p", "use_sim_time:=true"])
+        made.sim = made.start_sim("--rate", "500")
+        command = [sys.executable, str(Path(__file__).parent / "faulty_node.py"), *NODE[3:]]
+        settings = {
+            **PLAIN,
+            "robot": "panda",
+            "rate": 250.0,
+            "jerk_limits": JERK,
+            "record_folder": made.folder / "runs",
+        }
+        settings |= {"self_collision": "true", "obstacle_avoidance": "true"}
+        given = [part for name, value in settings.items() for part in ("-p", f"{name}:={value}")]
+        made.node = made.start("node", [*command, "--ros-args", *given])
+        made.until_status("holding")
+        yield made
 
 
 @pytest.fixture
@@ -105,6 +110,7 @@ def test_a_reason_is_seen_with_its_level_and_words_that_tell(home: Rig, reason: 
 
         status = home.until(told, f"the reason {reason}, and the words '{words}'")
     assert status.level[0] == reasons.level_of(given(status)) >= REASONS[reason].level
+    assert REASONS[reason].remedy in values_of(status)["what_to_do"]
 
 
 def given(status: DiagnosticStatus) -> list[str]:

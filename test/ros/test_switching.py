@@ -82,6 +82,7 @@ def run(rig: Rig, seconds: float, seed: int) -> None:
     switching = Switching(rig, seed)
     for role in ("target_twist", "target_pose", "target_joints"):
         rig.publisher(role)
+    rig.ignore("joint_states", "current_pose", "tracking_error")
     commands = rig.heard["joint_commands"]
     end = stamp(commands[-1]) + round(seconds * 1e9)
 
