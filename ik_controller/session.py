@@ -132,7 +132,8 @@ class Session:
             self.last_rejected = f"{role}: {error}"
             return False
         finally:
-            self._inputs.frames.forget()
+            if role != "joint_states":  # they are in no frame
+                self._inputs.frames.forget()
         return True
 
     def foreign_frame(self, role: str, data: bytes) -> str:

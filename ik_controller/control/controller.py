@@ -33,7 +33,7 @@ from ik_controller.control.obstacles import Obstacles, Scene
 from ik_controller.control.reach import BOUNDS, LAST
 from ik_controller.control.reference import Reference
 from ik_controller.control.stack import stack_cycle
-from ik_controller.control.status import LIMITS, Code, Limit, Status
+from ik_controller.control.status import LIMITS, Code, Limit, Status, followed
 from ik_controller.control.tasks import TaskStack
 from ik_controller.errors import ArgumentError, ParameterError, choices
 from ik_controller.kinematics.model import RobotModel
@@ -250,7 +250,7 @@ class Controller:
             tool, ask = law.jacobian(self._middle(at, dt)), law.feedback(out[2 * n + 6 :], feedback) + twist
             how, joint, limit = self._slide(tool, tool, ask, dt, table, out) or (how, joint, limit)
 
-        status = Status(Code.TRACKING, scale, LIMITS[limit], joint, sigma < law.threshold, sigma, how != CLOSEST)
+        status = followed(scale, LIMITS[limit], joint, sigma < law.threshold, sigma, how != CLOSEST)
         return self._finish(out, how == NOT_FINITE, has_pose, status, wanted, jacobian, dt, table)
 
     def _middle(self, at: Array, dt: float) -> Array:
@@ -274,13 +274,14 @@ class Controller:
         `wanted` (n,): the velocity before the joints' limits; `task` (m, n): the Jacobian that it was made with.
         """
         n = self._n
-        if lost or self._obstacles.watching:
+        obstacles = self._obstacles
+        watching = obstacles.watching
+        if lost or watching:
             self._limits.update(self._q, self._v, dt, table)
-            self._obstacles.update(self._q, self._v, self._gate.acceleration, self._limits, dt)
+            obstacles.update(self._q, self._v, self._gate.acceleration, self._limits, dt)
         if lost:
             return self._stop(dt, Code.HOLDING)
-        obstacles = self._obstacles
-        if obstacles.watching and not (obstacles.let(wanted) and obstacles.allow(out[n : 2 * n])):
+        if watching and not (obstacles.let(wanted) and obstacles.allow(out[n : 2 * n])):
             status = status._replace(scale=1.0, limit=Limit.NONE, joint=-1, feasible=True)
             return self._pass_by(wanted, task, dt, out[2 * n + 6 :], status)
         self._keep(out)

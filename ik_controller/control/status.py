@@ -121,6 +121,15 @@ class Status(NamedTuple):
         return f"{self.position_error:.4g} m and {self.orientation_error:.4g} rad"
 
 
+_TRACKING = Code.TRACKING
+_DEFAULTS = Status(_TRACKING)[7:]
+
+
+def followed(scale: float, limit: Limit, joint: int, damped: bool, sigma: float, feasible: bool) -> Status:
+    """Return the status of a cycle that tracks; NamedTuple's own constructor would take three times as long."""
+    return tuple.__new__(Status, (_TRACKING, scale, limit, joint, damped, sigma, feasible, *_DEFAULTS))
+
+
 def in_words(direction: tuple[float, ...]) -> str:
     """Return what an arm cannot do that cannot move along a twist (v, ω) (6): "cannot move along z"."""
     linear, angular = direction[:3], direction[3:]

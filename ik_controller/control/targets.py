@@ -46,6 +46,8 @@ class Targets:
 
     def __init__(self, parameters: ControllerParameters) -> None:
         self._segment: tuple[_Sample, _Sample, Segment] | None = None  # the last one asked for
+        self._pose, self._mean = np.empty((4, 3)), np.empty(6)
+        self._carried = Reference(self._pose[3], self._pose[:3], self._mean)  # that of a cycle, made once for all
         self._mode = "auto"
         self.clear()
         self.set_parameters(parameters)
@@ -293,7 +295,9 @@ class Targets:
         return None if latest < 0 else (now - latest) * 1e-9
 
     def reference(self, now: int, dt: float) -> Reference | None:
-        """Return the reference for the cycle from `now` [ns] to now + dt [s]; None where no target is live."""
+        """Return the reference for the cycle from `now` [ns] to now + dt [s], good until the next call; None where no
+        target is live.
+        """
         if self._path is not None:
             joints, velocity = self._path.over(now, dt)
             return Reference(joints=joints, joint_velocity=velocity)
@@ -322,9 +326,8 @@ class Targets:
             return Reference(sample.position, sample.rotation, np.zeros(6))
         ahead = (time - sample.time) * 1e-9
         rate = self._acceleration if self._acceleration is not None and ahead > 0.0 else _NO_CHANGE
-        pose, mean = np.empty((4, 3)), np.empty(6)
-        carry_on(sample.position, sample.rotation, twist, rate, ahead, dt, pose, mean)
-        return Reference(pose[3], pose[:3], mean)
+        carry_on(sample.position, sample.rotation, twist, rate, ahead, dt, self._pose, self._mean)
+        return self._carried
 
     def _twist_of(self, sample: _Sample) -> Array | None:
         """Return the sample's twist, or while that is still on its way, the last one if fresh."""

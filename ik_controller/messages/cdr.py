@@ -44,6 +44,7 @@ for _name, _text in EXTRA_TYPES.items():
 _SECOND = 1_000_000_000
 _STAMP = struct.Struct("<iI")
 _NUMBER = np.dtype("<f8")
+_ABSURD = 1e154  # no joint is there; the square is no number any more
 
 
 def decode(type_name: str, data: bytes) -> Any:
@@ -213,7 +214,7 @@ class JointStateReader:
         values: Array = np.frombuffer(data, _NUMBER, self._count, self._at)
         # A copy in either case: kernels are compiled for plain arrays, not for read-only or unaligned ones.
         values = values.copy() if self._order is None else values[self._order]
-        if not math.isfinite(values.dot(values)):  # or its square overflows: no joint is there either
+        if not math.hypot(*values.tolist()) < _ABSURD:  # or not a number
             index = int(np.argmax(np.fmax(np.abs(values), np.where(np.isnan(values), np.inf, 0.0))))
             raise MessageError(f"position of '{self._names[index]}' is {values[index]}: need finite values")
         return values
@@ -256,11 +257,6 @@ class JointStateWriter:
         after = self._position + 8 * n + 4
         self._velocity = after + (4 - after) % 8
         self._size = 8 * n
-        at, end = self._position, self._velocity + 8 * n
-        # header, stamp, all up to the positions, those, all up to the velocities, those, the rest
-        sizes = (at - 12, 8 * n, self._velocity - after + 4, 8 * n, len(self._buffer) - end)
-        self._parts = struct.Struct("<4siI" + "".join(f"{size}s" for size in sizes))
-        self._fixed = self._parts.unpack(self._buffer)
 
     def write(self, stamp: int, position: Array, velocity: Array) -> bytes:
         """Return the message's bytes; `stamp` [ns], position (n,) [rad or m], velocity (n,) [rad/s or m/s]."""
@@ -270,13 +266,22 @@ class JointStateWriter:
         buffer[self._velocity : self._velocity + size] = velocity.tobytes()
         return bytes(buffer)
 
-    def wrote(self, data: bytes, stamp: int, position: Array, velocity: Array) -> bool:
-        """Tell whether `data` is what `write` returns for the same arguments, to the bit, without writing it again."""
-        if len(data) != self._parts.size:
+    def wrote(
+        self, messages: Sequence[bytes], stamps: Sequence[int], positions: Sequence[Array], velocities: Sequence[Array]
+    ) -> bool:
+        """Tell whether the messages are what `write` returns for the stamps, positions and velocities, to the bit."""
+        size = len(self._buffer)
+        if any(len(data) != size for data in messages):
             return False
-        head, _, _, names, _, count, _, rest = self._fixed
-        written = (head, *divmod(stamp, _SECOND), names, position.tobytes(), count, velocity.tobytes(), rest)
-        return self._parts.unpack(data) == written
+        rows = np.frombuffer(b"".join(messages), np.uint8).reshape(-1, size)
+        written = np.tile(np.frombuffer(self._buffer, np.uint8), (len(rows), 1))
+        seconds, nanoseconds = np.divmod(np.array(stamps, dtype=np.int64), _SECOND)
+        written[:, 4:8] = seconds.astype("<i4")[:, None].view(np.uint8)
+        written[:, 8:12] = nanoseconds.astype("<u4")[:, None].view(np.uint8)
+        for at, values in ((self._position, positions), (self._velocity, velocities)):
+            numbers = np.concatenate(values).astype(_NUMBER, copy=False)
+            written[:, at : at + self._size] = numbers.reshape(len(rows), -1).view(np.uint8)
+        return rows.tobytes() == written.tobytes()
 
     def positions(self, data: bytes) -> Array:
         """Return the positions (n,) in a message that `write` made."""
@@ -290,7 +295,7 @@ class JointStateWriter:
 # The record of one cycle is a std_msgs/Int64MultiArray, so that any reader of bags can open it.
 CYCLE_FIELDS = ("index", "time_ns", "code", "late_ns", "work_ns", "published")
 _CYCLE = struct.Struct("<4sIII4x6q")
-_CYCLE_VALUES = struct.Struct("<6q")
+_CYCLE_VALUES = struct.Struct("<20x6q")  # of the same length
 
 
 def encode_cycle(index: int, time: int, code: int, late: int, work: int, published: int) -> bytes:
@@ -300,7 +305,8 @@ def encode_cycle(index: int, time: int, code: int, late: int, work: int, publish
 
 def decode_cycle(data: bytes) -> tuple[int, int, int, int, int, int]:
     """Return the fields of a cycle record in the order of CYCLE_FIELDS. Raises MessageError if it is none."""
-    if len(data) != _CYCLE.size:
-        raise MessageError(f"not a cycle record: {len(data)} bytes, need {_CYCLE.size}")
-    values: tuple[int, int, int, int, int, int] = _CYCLE_VALUES.unpack_from(data, _CYCLE.size - _CYCLE_VALUES.size)
+    try:
+        values: tuple[int, int, int, int, int, int] = _CYCLE_VALUES.unpack(data)
+    except struct.error:
+        raise MessageError(f"not a cycle record: {len(data)} bytes, need {_CYCLE.size}") from None
     return values

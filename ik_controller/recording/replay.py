@@ -37,6 +37,7 @@ from ik_controller.session import Session
 Array = NDArray[np.float64]
 
 _NEEDED = (*INPUTS, "events", "joint_commands", "command_output", "cycle")
+_BLOCK = 256  # cycles whose commands are compared at a stretch
 
 
 @dataclass
@@ -141,14 +142,13 @@ def cycles(
     present = {topic.name for topic in bag.topics}
     recorded: bytes | None = None
     sent: bytes | None = None
-    new = tuple.__new__
+    new, decode_cycle, take, run = tuple.__new__, cdr.decode_cycle, session.take, session.cycle
     for topic, now, data, _ in bag.messages([name for name in role_of if name in present]):
         role = role_of[topic]
         if role == "cycle":
-            index, at, _, late, work, _ = cdr.decode_cycle(data)
-            step = session.cycle(at)
+            index, at, _, late, work, _ = decode_cycle(data)
             # NamedTuple's own constructor takes twice as long
-            yield new(Cycle, (index, at, late, work, step, recorded, sent))
+            yield new(Cycle, (index, at, late, work, run(at), recorded, sent))
             recorded = sent = None
         elif role == "joint_commands":
             recorded = data
@@ -162,7 +162,7 @@ def cycles(
             if output is not None:
                 output.event(now, event)
         else:
-            session.take(role, data, now)
+            take(role, data, now)
             if output is not None:
                 output.write(role, now, data)
 
@@ -199,41 +199,34 @@ def replay(
         writer = RunWriter(output, session, info.topics, patient=True)
     encode = cdr.JointStateWriter(session.model.joint_names)
     other = other_output(session)
+    comparison = _Comparison(result, encode, other)
     first = last = 0
     before: Array | None = None
+    tracking = Code.TRACKING
     session.warm_up()
     gc.collect()
     gc.freeze()  # what is there by now need not be looked through again and again while cycles pass
     begin = time.perf_counter()
     passing = cycles(bag, session, info, changed, writer)
     for cycle in passing if watch is None else watch(passing, session):
-        step = cycle.step
-        first, last = first or cycle.time, cycle.time
+        number, last, late, work, step, recorded, _ = cycle
+        first = first or last
         result.cycles += 1
-        if cycle.late > session.period:
+        if late > session.period:
             result.missed += 1
-        recorded, stamp = cycle.recorded, cycle.time + session.period
+        stamp = last + session.period
         if step is not None or recorded is not None:
-            result.commands += 1
-            same = (
-                step is not None
-                and recorded is not None
-                and encode.wrote(recorded, stamp, step.position, step.velocity)
-                and (other is None or cycle.sent == other.write(step.position, step.velocity))
-            )
-            if not same:
-                _note_difference(result, cycle, encode, (cycle.time - first) * 1e-9)
-        if step is not None and step.status.code is Code.TRACKING:
+            comparison.add(cycle, stamp, last - first)
+        if step is not None and step.status.code is tracking:
             result.errors.add(tracking_error(session, step, before))
         before = None if step is None else step.position
         if writer is not None:
             if step is not None:
-                writer.write("joint_commands", cycle.time, encode.write(stamp, step.position, step.velocity))
+                writer.write("joint_commands", last, encode.write(stamp, step.position, step.velocity))
                 if other is not None:
-                    writer.write("command_output", cycle.time, other.write(step.position, step.velocity))
-            writer.cycle(
-                cycle.number, cycle.time, int(session.status.code), cycle.late, cycle.work, int(step is not None)
-            )
+                    writer.write("command_output", last, other.write(step.position, step.velocity))
+            writer.cycle(number, last, int(session.status.code), late, work, int(step is not None))
+    comparison.look()
     result.elapsed = time.perf_counter() - begin
     gc.unfreeze()
     result.duration = (last - first) * 1e-9
@@ -283,18 +276,59 @@ def _note_provenance(result: Replay, info: RunInfo, session: Session) -> None:
         result.model = digest(info.urdf), digest(known)
 
 
-def _note_difference(result: Replay, cycle: Cycle, encode: cdr.JointStateWriter, at: float) -> None:
-    if result.first_difference is None:
-        result.first_difference, result.first_difference_s = cycle.number, at
-    result.identical = False
-    difference = float("inf")
-    if cycle.step is not None and cycle.recorded is not None:
-        with contextlib.suppress(ValueError):  # another kind of message
-            difference = float(np.abs(cycle.step.position - encode.positions(cycle.recorded)).max())
-    if difference > result.max_difference:
-        result.max_difference, result.max_at = difference, cycle.number
-    if difference > result.tolerance and result.first_beyond is None:
-        result.first_beyond, result.first_beyond_s = cycle.number, at
+class _Comparison:
+    """Compares commands bit for bit, a block of cycles at a time: one that is the same as a whole needs no closer
+    look.
+    """
+
+    def __init__(self, result: Replay, encode: cdr.JointStateWriter, other: CommandWriter | None) -> None:
+        self._result = result
+        self._encode = encode
+        self._other = other
+        self._waiting: list[tuple[Cycle, int, int]] = []
+
+    def add(self, cycle: Cycle, stamp: int, since: int) -> None:
+        """Take a cycle with a command, recorded or replayed: the command's stamp, the time since the run's start
+        [ns].
+        """
+        self._waiting.append((cycle, stamp, since))
+        if len(self._waiting) == _BLOCK:
+            self.look()
+
+    def look(self) -> None:
+        """Compare what has been added since the last look."""
+        block, self._waiting = self._waiting, []
+        self._result.commands += len(block)
+        if block and not self._same(block):
+            for entry in block:
+                if not self._same([entry]):
+                    self._note(entry[0], entry[2] * 1e-9)
+
+    def _same(self, block: list[tuple[Cycle, int, int]]) -> bool:
+        steps = [cycle.step for cycle, _, _ in block if cycle.step is not None]
+        recorded = [cycle.recorded for cycle, _, _ in block if cycle.recorded is not None]
+        if not len(block) == len(steps) == len(recorded):
+            return False
+        positions, velocities = [step.position for step in steps], [step.velocity for step in steps]
+        if not self._encode.wrote(recorded, [stamp for _, stamp, _ in block], positions, velocities):
+            return False
+        sent = None if self._other is None else map(self._other.write, positions, velocities)
+        return sent is None or [cycle.sent for cycle, _, _ in block] == list(sent)
+
+    def _note(self, cycle: Cycle, at: float) -> None:
+        """Note that the command of a cycle, `at` [s] after the run's start, is another."""
+        result = self._result
+        if result.first_difference is None:
+            result.first_difference, result.first_difference_s = cycle.number, at
+        result.identical = False
+        difference = float("inf")
+        if cycle.step is not None and cycle.recorded is not None:
+            with contextlib.suppress(ValueError):  # another kind of message
+                difference = float(np.abs(cycle.step.position - self._encode.positions(cycle.recorded)).max())
+        if difference > result.max_difference:
+            result.max_difference, result.max_at = difference, cycle.number
+        if difference > result.tolerance and result.first_beyond is None:
+            result.first_beyond, result.first_beyond_s = cycle.number, at
 
 
 def describe_software(differences: Mapping[str, tuple[str, str]]) -> str:
