@@ -196,9 +196,9 @@ class JointStateReader:
     def __init__(self, joint_names: tuple[str, ...]) -> None:
         self._names = joint_names
         self._length = -1
-        self._at = 0
+        self._last = bytearray()  # the message that is read, and its positions: views are slow to make
+        self._values = np.zeros(0)
         self._order: NDArray[np.intp] | None = None  # None: as in the message, all of them
-        self._count = 0
         self._parts = struct.Struct("")  # header, frame and names, with all counts: all but stamp and numbers
         self._learned: tuple[bytes, ...] = ()
 
@@ -211,9 +211,8 @@ class JointStateReader:
         known = len(data) == self._length and self._parts.unpack(data) == self._learned
         if not known and not self._learn(data):
             return None
-        values: Array = np.frombuffer(data, _NUMBER, self._count, self._at)
-        # A copy in either case: kernels are compiled for plain arrays, not for read-only or unaligned ones.
-        values = values.copy() if self._order is None else values[self._order]
+        self._last[:] = data
+        values: Array = self._values.copy() if self._order is None else self._values[self._order]
         if not math.hypot(*values.tolist()) < _ABSURD:  # or not a number
             index = int(np.argmax(np.fmax(np.abs(values), np.where(np.isnan(values), np.inf, 0.0))))
             raise MessageError(f"position of '{self._names[index]}' is {values[index]}: need finite values")
@@ -232,11 +231,12 @@ class JointStateReader:
                 raise MessageError(f"{length} values in {field} for {count} names")
         if data[1] != 1:
             raise MessageError("big-endian JointState messages are not supported")
-        end, self._at = _layout(data)
+        end, at = _layout(data)
         in_order = tuple(names) == self._names
         self._order = None if in_order else np.array(order, dtype=np.intp)
-        self._count = count
-        behind = self._at + 8 * count  # the count of velocities, their numbers, the count of efforts
+        self._last = bytearray(data)
+        self._values = np.frombuffer(self._last, _NUMBER, count, at)
+        behind = at + 8 * count  # the count of velocities, their numbers, the count of efforts
         efforts = behind + 4
         if len(content.velocity):
             efforts += (4 - efforts) % 8 + 8 * len(content.velocity)
