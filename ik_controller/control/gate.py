@@ -39,8 +39,7 @@ _REASONS = (
 class Gate:
     """Re-checks commands; `passes` for each one, `braking` for what to command where one did not.
 
-    `memory` (3, n): position, velocity and acceleration of the last command that passed; `acceleration` (n,) its last
-    row.
+    `memory` (3, n): position, velocity and acceleration of the last command that passed.
     """
 
     def __init__(self, model: RobotModel) -> None:
@@ -50,7 +49,12 @@ class Gate:
         self._check = check if HAS_NUMBA else PlainCheck(self._limits, check)
         self._names = model.joint_names
         self.memory = np.zeros((3, model.n))
-        self.acceleration: Array = self.memory[2]
+
+    @property
+    def acceleration(self) -> Array:
+        """That of the last command that passed (n,)."""
+        acceleration: Array = self.memory[2]
+        return acceleration
 
     def start(self, q: Array) -> None:
         """Start at rest at q (n,), the measured position: the first command is exactly that."""
