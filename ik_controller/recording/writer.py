@@ -27,6 +27,7 @@ from typing import Any
 
 from ik_controller.errors import BagError, choices
 from ik_controller.recording import schema as ros_schema
+from ik_controller.recording.bell import Bell
 from ik_controller.recording.rosbag2 import FileMetadata, Qos, TopicMetadata, bag_information, write_metadata_yaml
 from ik_controller.recording.segment import COMPRESSIONS, ChunkBuilder, Reserve, SegmentWriter
 
@@ -111,9 +112,7 @@ class BagWriter:
         # One thread only adds to each of these, so none needs a lock.
         self._bytes_in = self._bytes_out = self._metadata_in = self._metadata_out = self._refused = self._lost = 0
         self._closing = threading.Event()
-        self._listening = False
-        self._bell = threading.Lock()  # held while it is silent
-        self._bell.acquire()
+        self._bell = Bell()
         self._segment: SegmentWriter | None = None
         self._known = 0  # channels that the open segment has
         self._chunk = ChunkBuilder()
@@ -159,10 +158,8 @@ class BagWriter:
             return
         self._bytes_in += len(data) + _OVERHEAD
         self._queue.append((channel.id, channel.sequence, log_time_ns, data))
-        if self._listening:
-            self._listening = False
-            with contextlib.suppress(RuntimeError):  # rung already, by another thread
-                self._bell.release()
+        if self._bell.awaited:
+            self._bell.ring()
 
     def _wait_for_room(self) -> bool:
         while self._patient and self._state == "recording" and not self._closing.is_set():
@@ -233,12 +230,8 @@ class BagWriter:
 
     def _await_loop(self) -> None:
         """Wait until the next `write`: the loop that called it is about to sleep and needs no interpreter then."""
-        if self._patient:
-            return
-        self._bell.acquire(blocking=False)  # forget a ring that came too late last time
-        self._listening = True
-        self._bell.acquire(timeout=_BREATH)
-        self._listening = False
+        if not self._patient:
+            self._bell.wait(_BREATH)
 
     def _drain(self) -> int:
         """Pack a slice of the queue into the chunk; return how many."""
