@@ -99,7 +99,12 @@ def _model(parameters: ControllerParameters, description: str | None, findings: 
             return None
         model = build_model(parameters, text or description)
     except IkControllerError as error:
-        findings.append(Finding("error", "robot", str(error), "name a robot, or a URDF with tip and base frame"))
+        remedy = "name a robot, or a URDF with tip and base frame"
+        with contextlib.suppress(IkControllerError):
+            swapped = {"tip_frame": parameters.base_frame, "base_frame": parameters.tip_frame}
+            build_model(parameters.replace(swapped), description)
+            remedy = "swap tip_frame and base_frame"
+        findings.append(Finding("error", "robot", str(error), remedy))
         return None
     chain = f"{model.n} joints from '{model.base_frame}' to '{model.tip_frame}'"
     findings.append(Finding("ok", "robot", chain))

@@ -17,6 +17,8 @@ from rig import CLI, ROOT, Rig, environment, next_domain
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from ik_controller.cli import main
+
 JOINTS = [f"panda_joint{i}" for i in range(1, 8)]
 HOME = [0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785]
 
@@ -62,6 +64,14 @@ def test_nobody_there(tmp_path: Path) -> None:
     answer = json.loads(done.stdout)
     assert answer["ok"]
     assert any("nothing live was checked" in finding["message"] for finding in answer["findings"])
+
+
+def test_frames_the_wrong_way_round(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    urdf = ROOT / "config" / "panda" / "robot.urdf"
+    frames = ["--tip", "panda_link0", "--base", "panda_hand_tcp"]
+    assert main(["doctor", "--offline", "--json", "--urdf", str(urdf), *frames]) == 1
+    (finding,) = [f for f in json.loads(capsys.readouterr().out)["findings"] if f["level"] == "error"]
+    assert finding["remedy"] == "swap tip_frame and base_frame"
 
 
 def test_everything_is_wrong(rig: Rig) -> None:
