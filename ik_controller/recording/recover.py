@@ -63,11 +63,11 @@ def recover(path: Path | str, output: Path | str | None = None) -> Recovery:
     if target.exists():
         raise BagError(f"output '{target}' exists; a bag is never overwritten")
     try:
-        parts = _recover_folder(files, target) if path.is_dir() else [_recover_file(files[0], target)]
+        parts = _recover_folder(files, target) if path.is_dir() else [_recover_file(file, target) for file in files]
     except OSError as error:
         raise BagError(f"cannot recover '{path}' into '{target}': {error.strerror}") from None
     messages = sum(part.file.count for part in parts)
-    whole = all(file.complete for file in files)
+    whole = bool(files) and all(file.complete for file in files)
     return Recovery(messages, sum(part.lost_bytes for part in parts), target if messages or whole else None)
 
 
@@ -80,14 +80,14 @@ class _Part(NamedTuple):
 
 
 def _sources(path: Path) -> list[McapFile]:
-    """Open the files of a bag, damaged or not; raises BagError where there is no MCAP at all."""
-    if not path.is_dir():
-        return [McapFile(path, tolerant=True)]
-    paths = segment_paths(path)
+    """Open the files of a bag, damaged or not, but those in which there is nothing yet; raises BagError where there is
+    no MCAP at all.
+    """
+    paths = segment_paths(path) if path.is_dir() else [path]
     if not paths:
         open_bag(path)  # raises if there is no bag of any kind
         raise BagError(f"bag '{path}' has no .mcap file; only MCAP can be recovered")
-    return [McapFile(file, tolerant=True) for file in paths if file.stat().st_size]
+    return [McapFile(file, tolerant=True) for file in paths if not file.exists() or file.stat().st_size]
 
 
 def _count_if_whole(path: Path, files: list[McapFile]) -> int | None:

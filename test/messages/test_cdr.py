@@ -43,6 +43,21 @@ def test_reader_finds_each_joint_whatever_its_place_and_company(data, frame):
         np.testing.assert_array_equal(cdr.JointStateReader(JOINTS).read(message), expected)
 
 
+@given(st.lists(st.tuples(st.integers(0, 2**31 * 10**9 - 1), *[st.floats()] * 6), min_size=1, max_size=5), st.randoms())
+def test_messages_are_told_from_others_by_any_bit(commands, random):
+    """Stamps, numbers (NaN, −0.0) and all that is fixed; a block of several at once."""
+    writer = cdr.JointStateWriter(JOINTS)
+    stamps = [stamp for stamp, *_ in commands]
+    positions, velocities = ([np.array(numbers[i : i + 3]) for numbers in commands] for i in (1, 4))
+    messages = list(map(writer.write, stamps, positions, velocities))
+    assert writer.wrote(messages, stamps, positions, velocities)
+    which, at = random.randrange(len(messages)), random.randrange(len(messages[0]))
+    other = bytearray(messages[which])
+    other[at] ^= 1 << random.randrange(8)
+    for changed in (bytes(other), messages[which][:-1]):
+        assert not writer.wrote([*messages[:which], changed, *messages[which + 1 :]], stamps, positions, velocities)
+
+
 @given(
     names.filter(len),
     st.integers(0, 2**31 * 10**9 - 1),

@@ -280,6 +280,11 @@ def test_no_bag_is_an_error_and_an_empty_run_is_whole(tmp_path: Path) -> None:
     (tmp_path / "text.mcap").write_text("hello")
     with pytest.raises(BagError, match="is not an MCAP file"):
         recover(tmp_path / "text.mcap")
+    (tmp_path / "killed").mkdir()
+    (tmp_path / "killed" / "killed_0.mcap").touch()  # a recorder that was killed while it opened its file
+    for path in (tmp_path / "killed", tmp_path / "killed" / "killed_0.mcap"):
+        assert recover(path).exit_code == 1
+    assert [file.name for file in tmp_path.rglob("*_recovered*")] == []
     writer = BagWriter(tmp_path / "bag")
     writer.channel("/a", ARRAY)
     writer.close()
