@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -128,10 +129,21 @@ def test_a_bad_joint_state_is_rejected_counted_and_told(live: Rig, case: str) ->
     make, reason = BAD_STATES[case]
     publisher = live.publisher("joint_states")
     before = live.until_new("status", lambda s: True)
-    publisher.publish(make())
-    status = live.until_new("status", lambda s: rested(s) and rejections(s) > rejections(before), "a rejection")
-    assert rejections(status) == rejections(before) + 1
+    sent: list[float] = []
+
+    def rejected() -> Any:
+        # Sent again after a while: a node that is held up takes only the last of all joint states that have come.
+        if not sent or time.monotonic() > sent[-1] + 2.0:
+            publisher.publish(make())
+            sent.append(time.monotonic())
+        status = live.heard["status"][-1]
+        return status if rested(status) and rejections(status) > rejections(before) else None
+
+    status = live.until(rejected, "a rejection")
+    assert 1 <= rejections(status) - rejections(before) <= len(sent)
     assert reason in values_of(status)["last_rejected"]
+    if len(sent) > 1:
+        live.until_new("status", lambda s: "rejected" not in values_of(s)["reasons"], "all of them to be taken")
     assert "NaN" not in str(live.until_new("current_pose", lambda m: True))
 
 
