@@ -84,7 +84,7 @@ def _text(
         writer.write(channels[target.role], target.time, target.data)
     status = writer.close()
     if first is None or last is None:
-        raise BagError(f"'{files[0]}': no line could be used: {log.last_skipped}")
+        raise BagError(f"'{files[0]}': no line could be used: {log.last_skipped or 'there is none'}")
     if status.lost or status.state != "closed":
         raise BagError(f"bag '{output}' is incomplete: {status.reason}")
     return {
