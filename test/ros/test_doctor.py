@@ -58,7 +58,7 @@ def test_a_healthy_arm(rig: Rig) -> None:
 def test_nobody_there(tmp_path: Path) -> None:
     command = [*CLI, "doctor", "--json", "--seconds", "1"]
     done = subprocess.run(
-        command, capture_output=True, text=True, cwd=tmp_path, env=environment(next_domain()), timeout=60, check=False
+        command, capture_output=True, text=True, cwd=tmp_path, env=environment(next_domain()), timeout=180, check=False
     )
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)

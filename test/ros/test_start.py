@@ -80,7 +80,7 @@ def test_a_folder_that_cannot_be_written_is_told_and_the_arm_still_runs(rig: Rig
 def test_the_process_says_it_too(tmp_path: Path) -> None:
     command = [*NODE, "--ros-args", "-p", "robot:=pandabear"]
     done = subprocess.run(
-        command, capture_output=True, text=True, cwd=tmp_path, env=environment(next_domain()), timeout=60, check=False
+        command, capture_output=True, text=True, cwd=tmp_path, env=environment(next_domain()), timeout=180, check=False
     )
     assert done.returncode == 2
     assert done.stdout == ""
