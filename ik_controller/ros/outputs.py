@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.duration import Duration
@@ -39,6 +40,9 @@ class Outputs:
             self._other = CommandWriter(parameters.command_output, model.joint_names, period, velocities)
         self._pose = node.create_publisher(PoseStamped, "~/current_pose", 10)
         self._error = node.create_publisher(TwistStamped, "~/tracking_error", 10)
+        # For eyes: a listener at the loop's rate would cost the loop, one of these does not.
+        self._measured_joints = node.create_publisher(JointState, "~/measured_joints", 1)
+        self._commanded_joints = node.create_publisher(JointState, "~/commanded_joints", 1)
         self._telling = Telling(model)
         self._encode = cdr.JointStateWriter(model.joint_names).write
         self.topics = default_topics(node.get_fully_qualified_name())
@@ -75,10 +79,26 @@ class Outputs:
             sent.append(("tracking_error", error))
         return sent
 
+    def show(self, now: int, session: Session, step: Step | None) -> None:
+        """Send measured and commanded joints to those who watch, if anybody does; not recorded: the bag has them."""
+        measured = session.measured
+        if measured is not None and self._measured_joints.get_subscription_count():
+            names = list(session.model.joint_names)
+            said = cdr.message(cdr.JOINT_STATE, cdr.header(now, ""), names, measured, np.zeros(0), np.zeros(0))
+            self._measured_joints.publish(cdr.encode(said))
+        if step is not None and self._commanded_joints.get_subscription_count():
+            self._commanded_joints.publish(self._encode(now + session.period, step.position, step.velocity))
+
     def close(self) -> None:
         """Destroy the publishers, when the last command has left."""
         self._commands.wait_for_all_acked(Duration(seconds=0.5))
-        for publisher in (self._commands, self._pose, self._error):
+        for publisher in (
+            self._commands,
+            self._pose,
+            self._error,
+            self._measured_joints,
+            self._commanded_joints,
+        ):
             self._node.destroy_publisher(publisher)
 
 

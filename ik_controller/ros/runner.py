@@ -39,6 +39,7 @@ _STOP_TIME = 5.0  # [s] that braking at the end may take
 _TRY_AGAIN = 1.0  # [s] between attempts to record where that is not possible yet
 _UNHEARD = (Code.WAITING, Code.NO_FEEDBACK)  # states for want of joint states
 _LOOK = 10  # cycles between looks at whether the status has changed
+_SHOW_RATE = 25.0  # [Hz] of the joints for those who watch
 
 
 class Runner:
@@ -136,6 +137,7 @@ class Runner:
         rate = parameters.rate
         self._monitor_every = max(round(rate / parameters.monitor_rate), 1)
         self._status_every = max(round(rate / parameters.status_rate / _LOOK), 1) * _LOOK
+        self._show_every = max(round(rate / _SHOW_RATE), 4)
         self._second = round(rate)
 
     # -- the loop's side
@@ -171,6 +173,8 @@ class Runner:
         self.monitor.cycle(index, now, late)
         if index % self._monitor_every == 0:
             self._record(now, self._outputs.tell(now, session, step))
+        if index % self._show_every == 3:
+            self._outputs.show(now, session, step)
         # What takes long is spread over the cycles, so that none of them runs into the next.
         if index % _LOOK == _LOOK // 2:
             glance = self.monitor.glance()

@@ -8,6 +8,7 @@ import contextlib
 import os
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import PoseStamped, TwistStamped
+from geometry_msgs.msg import PoseStamped
 from numpy.typing import NDArray
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
@@ -45,8 +46,9 @@ from ik_controller.view.page import SLIDERS, Page, Steering
 
 Array = NDArray[np.float64]
 
-_RATE = 50.0  # [Hz] of drag targets and of looking for messages
-_REDRAW = 0.04  # [s] between two pictures of the arm
+_DRAG = 0.02  # [s] between two targets while one is dragged
+_LOOK = 0.04  # [s] between two looks at what the node has sent
+_LINGER = 5.0  # [s] after the last target that we stay a publisher of targets; two of them fight over the arm
 _SETTLE = 2.0  # [s] after letting go in which the target stays, so that the arm arrives
 _ARRIVED = 1e-4  # [m and rad] from the target
 _NICE = 5  # a picture may wait, a control loop on the same machine may not
@@ -68,11 +70,21 @@ _FACTS = {
 class Viewer:
     """Feeds a Page from the node `target` (such as "/ik_controller") and back; `run` until `stop`."""
 
-    def __init__(self, target: str, page_title: str, dark: bool = False, context: Any = None) -> None:
+    def __init__(
+        self,
+        target: str,
+        page_title: str,
+        dark: bool = False,
+        context: Any = None,
+        failed: Callable[[], str] = lambda: "",
+    ) -> None:
+        """`failed` says why the node will not come back, empty while it may."""
         self.page = Page(page_title, Steering(self._drag, self._set, self._press), dark)
         self._lock = threading.Lock()
         self._goal: tuple[Any, float] | None = None  # dragged pose, and until when it is sent
         self._stop = False
+        self._wake = threading.Event()  # something to send, or the end
+        self._failed = failed
         self.node = node = Node("viewer", context=context, start_parameter_services=False)
         self._target = target = full_name(node, target)
         self._set_parameters = node.create_client(SetParameters, f"{target}/set_parameters")
@@ -83,16 +95,17 @@ class Viewer:
             "record": (node.create_client(SetBool, f"{target}/record"), SetBool.Request(data=True)),
             "seal": (node.create_client(SetBool, f"{target}/record"), SetBool.Request(data=False)),
         }
-        self._pose = node.create_publisher(PoseStamped, f"{target}/target_pose", 10)
+        self._pose: Any = None  # the publisher, while somebody steers
+        self._sent = 0.0  # when the last target was
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self._description: str | None = None
         node.create_subscription(String, _beside(target, "robot_description"), self._on_description, latched)
         group = PolledGroup()
         inputs = {
-            "measured": (JointState, _beside(target, "joint_states")),
-            "commanded": (JointState, _beside(target, "joint_commands")),
+            # Not joint_states and joint_commands: a thousand a second to one more reader cost those who send them.
+            "measured": (JointState, f"{target}/measured_joints"),
+            "commanded": (JointState, f"{target}/commanded_joints"),
             "status": (DiagnosticStatus, f"{target}/status"),
-            "error": (TwistStamped, f"{target}/tracking_error"),
         }
         self._inputs = {
             name: PolledSubscription(node, group, kind, topic, 1, reliable=False)
@@ -110,10 +123,10 @@ class Viewer:
         self._q: Array | None = None  # as last commanded
         self._model: RobotModel | None = None
         self._joints: cdr.JointStateReader | None = None
-        self._error = np.zeros(6)
+        self._error = np.zeros(2)  # position [m] and orientation [rad], from the last status
         self._speed = 0.0
         self._question: Question | None = None
-        self._heard = -_SILENT  # when the node last told its status
+        self._heard = float("-inf")  # when the node last told its status
 
     def stop(self, *_: Any) -> None:
         """End `run`; for signal handlers."""
@@ -123,34 +136,36 @@ class Viewer:
         """Watch and steer until `stop`."""
         executor = SingleThreadedExecutor(context=self.node.context)
         executor.add_node(self.node)
-        start = redrawn = time.monotonic()
+        start, look_at = time.monotonic(), 0.0
         while not self._stop:
             begin = time.monotonic()
-            executor.spin_once(timeout_sec=0.0)
-            self._send_goal(begin)
-            self._look(begin, begin - start, begin - redrawn >= _REDRAW)
-            if begin - redrawn >= _REDRAW:
-                redrawn = begin
-            time.sleep(max(1.0 / _RATE - (time.monotonic() - begin), 0.001))
+            steered = self._send_goal(begin)
+            if begin >= look_at:
+                look_at = begin + _LOOK
+                executor.spin_once(timeout_sec=0.0)
+                self._look(begin, begin - start)
+            by = min(look_at, begin + _DRAG) if steered else look_at
+            self._wake.wait(max(by - time.monotonic(), 0.001))
+            self._wake.clear()
         executor.shutdown()
         self.page.close()
         self.node.destroy_node()
 
     # -- what the arm does
 
-    def _look(self, now: float, seconds: float, redraw: bool) -> None:
+    def _look(self, now: float, seconds: float) -> None:
         status = self._inputs["status"].latest()
         if status is not None:
             if now - self._heard > _SILENT:  # new, or come back: it may be another arm now
                 self._question = None
                 self._model = None
             self._heard = now
-            self._tell(cdr.decode("diagnostic_msgs/msg/DiagnosticStatus", status))
+            self._tell(cdr.decode("diagnostic_msgs/msg/DiagnosticStatus", status), seconds)
         elif now - self._heard > _SILENT:
-            self.page.show_status(3, f"no node answers as {self._target}")
+            self._tell_silence()
         if self._model is None and now - self._heard <= _SILENT:
             self._attach()
-        if self._model is None or self._joints is None or not redraw:
+        if self._model is None or self._joints is None:
             return
         self._look_at_obstacles()
         for kind in ("measured", "commanded"):
@@ -167,13 +182,6 @@ class Viewer:
                     self._q = q.copy()
                     velocity = np.array(cdr.decode(cdr.JOINT_STATE, data).velocity)
                     self._speed = float(np.max(np.abs(velocity) / self._model.velocity_limit))
-        data = self._inputs["error"].latest()
-        if data is not None:
-            twist = cdr.decode(cdr.TWIST, data).twist
-            v, w = twist.linear, twist.angular
-            self._error = np.array((v.x, v.y, v.z, w.x, w.y, w.z))
-            position, turn = float(np.linalg.norm(self._error[:3])), float(np.linalg.norm(self._error[3:]))
-            self.page.show_errors(seconds, position, turn, self._speed)
 
     def _look_at_obstacles(self) -> None:
         frames, changed = self._frames, False
@@ -185,10 +193,23 @@ class Viewer:
         if changed:
             self.page.show_obstacles(self._world)
 
-    def _tell(self, status: Any) -> None:
+    def _tell_silence(self) -> None:
+        failure = self._failed()
+        if failure:
+            self.page.show_status(2, failure)
+        elif np.isinf(self._heard) and self.node.count_publishers(f"{self._target}/status"):
+            self.page.show_status(3, "the node is starting; the very first time it compiles, for a minute or two")
+        else:
+            self.page.show_status(3, f"no node answers as {self._target}")
+
+    def _tell(self, status: Any, seconds: float) -> None:
         values = {pair.key: pair.value for pair in status.values}
         facts = [(label, values[key]) for key, label in _FACTS.items() if values.get(key)]
         self.page.show_status(int(status.level), str(status.message), facts)
+        with contextlib.suppress(KeyError, ValueError):  # a node that is not active has no errors
+            self._error = np.array((float(values["position_error_m"]), float(values["orientation_error_rad"])))
+            if np.isfinite(self._error).all():
+                self.page.show_errors(seconds, float(self._error[0]), float(self._error[1]), self._speed)
 
     # -- which arm it is
 
@@ -223,11 +244,7 @@ class Viewer:
             self.page.show_status(2, str(error))
             return
         # Beside its URDF a robot's meshes are found too.
-        note = self.page.load(
-            model, [str(f) for f in Path(parameters.urdf).absolute().parents] if parameters.urdf else []
-        )
-        if note:
-            self.page.notify("Robot", note)
+        self.page.load(model, [str(f) for f in Path(parameters.urdf).absolute().parents] if parameters.urdf else [])
         self._model, self._joints, self._frames = model, cdr.JointStateReader(model.joint_names), Frames(model)
         with contextlib.suppress(IkControllerError):  # a file of the node's machine, not of this one
             self._world = Scene.of(model, parameters).world
@@ -240,25 +257,29 @@ class Viewer:
     def _drag(self, pose: Any, held: bool) -> None:
         with self._lock:
             self._goal = (pose, float("inf") if held else time.monotonic() + _SETTLE)
-        self._publish(pose)
+        self._wake.set()
 
-    def _send_goal(self, now: float) -> None:
+    def _send_goal(self, now: float) -> bool:
+        """Send what is dragged; return whether anything is."""
         with self._lock:
             goal = self._goal
-            if goal is None:
-                return
-            pose, until = goal
-            arrived = until < float("inf") and float(np.max(np.abs(self._error))) < _ARRIVED and until - now < 1.5
-            if now > until or arrived:
-                self._goal = None
-                return
-        self._publish(pose)
-
-    def _publish(self, pose: Any) -> None:
+            if goal is not None:
+                pose, until = goal
+                arrived = until < float("inf") and float(self._error.max()) < _ARRIVED and until - now < 1.5
+                if now > until or arrived:
+                    goal = self._goal = None
         model = self._model
-        if model is not None:
-            normal = pin.SE3(pin.Quaternion(pose.rotation).normalized(), pose.translation)
-            self._pose.publish(cdr.pose_message(time.time_ns(), model.base_frame, normal))
+        if goal is None or model is None:
+            if self._pose is not None and now > self._sent + _LINGER:
+                self.node.destroy_publisher(self._pose)
+                self._pose = None
+            return False
+        if self._pose is None:
+            self._pose = self.node.create_publisher(PoseStamped, f"{self._target}/target_pose", 1)
+        normal = pin.SE3(pin.Quaternion(pose.rotation).normalized(), pose.translation)
+        self._pose.publish(cdr.pose_message(time.time_ns(), model.base_frame, normal))
+        self._sent = now
+        return True
 
     def _set(self, name: str, value: float) -> None:
         kind = ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=value)
@@ -291,11 +312,20 @@ def _beside(target: str, topic: str) -> str:
     return f"{target.rpartition('/')[0]}/{topic}"
 
 
-def view(target: str, title: str, dark: bool, opened: Any, ros_arguments: list[str]) -> None:
-    """Serve the page of the node `target` until SIGINT or SIGTERM; `opened(page)` is called once it is served."""
+def view(
+    target: str,
+    title: str,
+    dark: bool,
+    opened: Any,
+    ros_arguments: list[str],
+    failed: Callable[[], str] = lambda: "",
+) -> None:
+    """Serve the page of the node `target` until SIGINT or SIGTERM; `opened(page)` is called once it is served, `failed`
+    is that of Viewer.
+    """
     os.nice(_NICE)  # before its threads start, which inherit it
     start_ros(ros_arguments)
-    viewer = Viewer(target, title, dark)
+    viewer = Viewer(target, title, dark, failed=failed)
     on_signal(viewer.stop)
     try:
         opened(viewer.page)

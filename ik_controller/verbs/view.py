@@ -6,7 +6,6 @@ import argparse
 import os
 import signal
 import sys
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -101,19 +100,23 @@ def _simulate(arguments: argparse.Namespace, opened: Any) -> None:
     processes = Processes(output / "view.log", dict(os.environ))
     try:
         start_arm(processes, arguments, {"record_folder": str(output)})
-        watch = threading.Thread(target=_watch, args=(processes,), daemon=True)
-        watch.start()
-        view("/ik_controller", f"{title} (simulated)", arguments.dark, opened, [])
+        failed = _Watch(processes)
+        view("/ik_controller", f"{title} (simulated)", arguments.dark, opened, [], failed)
         processes.end("node", "sim")
     finally:
         processes.close()
 
 
-def _watch(processes: Any) -> None:
-    """Say so where arm or node end by themselves."""
-    while True:
+class _Watch:
+    """Tells where arm or node end by themselves: each time to who asks, once in the terminal."""
+
+    def __init__(self, processes: Any) -> None:
+        self._processes = processes
+        self._said = ""
+
+    def __call__(self) -> str:
         for name in ("sim", "node"):
-            if processes.poll(name) not in (None, 0):
-                print(f"the {name} process ended: {processes.last_line()} (all: {processes.log})", file=sys.stderr)
-                return
-        threading.Event().wait(0.5)
+            if not self._said and self._processes.poll(name) is not None:
+                self._said = f"the {name} process has ended: {self._processes.last_line()}"
+                print(f"{self._said} (all of it: {self._processes.log}); Ctrl-C, then start again", file=sys.stderr)
+        return self._said

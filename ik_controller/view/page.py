@@ -34,7 +34,8 @@ _GHOST = (245, 133, 24)  # the commanded arm, and what belongs to it
 _TARGET = (31, 119, 180)
 _HISTORY = 10.0  # [s] that the plots reach back
 _TRAIL = 400  # points
-_REPLOT = 0.2  # [s]
+_REPLOT = 0.4  # [s]
+_RETELL = 0.5  # [s] between two changes of the numbers below the sentence
 _APART = 3e-3  # [rad or m] from where on a joint's command is seen beside the joint
 _STILL = 2e-5  # [rad or m] of a joint that are no motion to the eye
 _VIEW = (1.25, -1.05, 0.95), (0.15, 0.05, 0.35)  # where one looks from, and to
@@ -93,7 +94,7 @@ class Page:
         self._values: dict[str, float] = {}
         self._history: deque[tuple[float, float, float, float]] = deque()
         self._trail: deque[Array] = deque(maxlen=_TRAIL)
-        self._trail_drawn = self._plotted = 0.0
+        self._trail_drawn = self._plotted = self._retold = 0.0
         self._obstacles: list[Any] = []
 
         server = self.server
@@ -110,11 +111,13 @@ class Page:
             cell_color=(48, 52, 58) if dark else (225, 225, 225),
             section_color=(80, 86, 95) if dark else (180, 180, 180),
             position=(0.0, 0.0, -0.001),
+            shadow_opacity=0.0,
         )
         server.scene.configure_default_lights(cast_shadow=False)  # shadows cost a browser without GPU its fluency
         server.initial_camera.position, server.initial_camera.look_at = _VIEW
         self._sentence = server.gui.add_html(_sentence(3, "waiting for the node"))
-        self._facts = server.gui.add_markdown("")
+        self._facts = server.gui.add_html("")  # markdown is compiled in the browser, at each change
+        self._note = ""  # what could not be shown of the arm
         with server.gui.add_folder("Last 10 s", order=1e6):
             self._plots = (
                 self._plot("position error [mm]", ("error", _TARGET)),
@@ -131,8 +134,8 @@ class Page:
 
     # -- the arm
 
-    def load(self, model: RobotModel, folders: Sequence[str] = ()) -> str:
-        """Show another arm; return what could not be shown, empty where all was."""
+    def load(self, model: RobotModel, folders: Sequence[str] = ()) -> None:
+        """Show another arm, and say once what could not be shown of it."""
         shapes = ArmShapes(model, folders)
         with self._lock:
             for kind in self._joints:
@@ -141,7 +144,9 @@ class Page:
             for kind, joints in self._joints.items():
                 for index, mesh in enumerate(shapes.meshes):
                     if mesh.joint not in joints:
-                        joints[mesh.joint] = self.server.scene.add_frame(f"/{kind}/{mesh.joint}", show_axes=False)
+                        joints[mesh.joint] = self.server.scene.add_frame(
+                            f"/{kind}/{mesh.joint}", show_axes=False, visible=kind == "measured"
+                        )
                     ghost = kind == "commanded"
                     self.server.scene.add_mesh_simple(
                         f"/{kind}/{mesh.joint}/{index}",
@@ -155,7 +160,9 @@ class Page:
             self._shown.clear()
             self._trail.clear()
             self._history.clear()
-        return shapes.note
+        if shapes.note and shapes.note != self._note:
+            self.notify("Robot", shapes.note)
+        self._note = shapes.note
 
     def show_arm(self, kind: str, q: Array) -> None:
         """Place an arm, `kind` "measured" or "commanded", at q (n,)."""
@@ -166,10 +173,8 @@ class Page:
                 return  # a resting arm costs neither the network nor the browser
             self._shown[kind] = np.array(q)
             with self.server.atomic():
-                for joint, placement in self._shapes.place(q).items():
-                    frame = self._joints[kind][joint]
-                    frame.position = placement.translation
-                    frame.wxyz = _wxyz(placement.rotation)
+                if kind == "measured":
+                    self._place(kind)
                 self._show_ghost()
             if kind == "commanded" or not self._trail:
                 self._tool = self._model.forward(q)
@@ -178,11 +183,21 @@ class Page:
                     self._gizmo.position = self._tool.translation
                     self._gizmo.wxyz = _wxyz(self._tool.rotation)
 
+    def _place(self, kind: str) -> None:
+        assert self._shapes is not None
+        for joint, placement in self._shapes.place(self._shown[kind]).items():
+            frame = self._joints[kind][joint]
+            position, wxyz = placement.translation, _wxyz(placement.rotation)
+            if np.abs(position - frame.position).max() > 1e-6 or np.abs(wxyz - frame.wxyz).max() > 1e-6:
+                frame.position, frame.wxyz = position, wxyz
+
     def _show_ghost(self) -> None:
-        apart = len(self._shown) < 2 or np.abs(self._shown["measured"] - self._shown["commanded"]).max() > _APART
+        apart = len(self._shown) == 2 and np.abs(self._shown["measured"] - self._shown["commanded"]).max() > _APART
         for frame in self._joints["commanded"].values():
             if frame.visible != apart:
                 frame.visible = apart
+        if apart:  # what is hidden need not move
+            self._place("commanded")
 
     def _leave_trail(self, point: Array) -> None:
         if self._trail and np.linalg.norm(point - self._trail[-1]) < 2e-3:
@@ -201,9 +216,13 @@ class Page:
     def show_status(self, level: int, sentence: str, facts: Sequence[tuple[str, str]] = ()) -> None:
         """Show the status: `level` as in diagnostics (0 OK, 1 warning, 2 error, 3 stale), a sentence, a few facts."""
         text = _sentence(level, sentence)
-        table = "\n".join(["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in facts)]) if facts else ""
+        now = time.monotonic()
         if self._sentence.content != text:
             self._sentence.content = text
+        elif now - self._retold < _RETELL:
+            return
+        self._retold = now
+        table = _table(facts)
         if self._facts.content != table:
             self._facts.content = table
 
@@ -275,6 +294,8 @@ class Page:
     def _joined(self, client: Any) -> None:
         if client.camera.image_height > client.camera.image_width:  # a telephone: the panel covers the lower half
             client.camera.position, client.camera.look_at = _VIEW_UPRIGHT
+        if self._note:
+            client.add_notification("Robot", self._note, auto_close_seconds=6.0)
         if self._steering is None:
             return
         with self._lock:
@@ -373,6 +394,12 @@ def _sentence(level: int, text: str) -> str:
     color = _LEVELS.get(level, "#868e96")
     dot = f"<span style='color:{color}'>&#9679;</span>"
     return f"<p style='margin:6px 12px;font-size:14px;font-weight:600'>{dot} {html.escape(text)}</p>"
+
+
+def _table(facts: Sequence[tuple[str, str]]) -> str:
+    row = "<tr><td style='padding:1px 12px 1px 0;opacity:.7'>{}</td><td style='padding:1px 0'>{}</td></tr>"
+    rows = "".join(row.format(html.escape(name), html.escape(value)) for name, value in facts)
+    return f"<table style='margin:2px 12px;font-size:13px;border-collapse:collapse'>{rows}</table>" if facts else ""
 
 
 def _wxyz(rotation: Array) -> Array:
