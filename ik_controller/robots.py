@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ik_controller.errors import ModelError, ParameterError
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.kinematics.urdf import Urdf
 from ik_controller.parameter_file import values_in
 from ik_controller.parameters import ControllerParameters
 from ik_controller.share import robot_folder
+
+_AGILE = 0.05  # [m or rad, per rad] smallest singular value from which on an arm moves freely
+_SPREAD = 1.4  # [rad] that a joint is looked for around its middle
 
 
 def bundled_parameters(name: str) -> ControllerParameters:
@@ -73,3 +79,24 @@ def build_model(parameters: ControllerParameters, urdf: str | None = None) -> Ro
         jerk=parameters.jerk_limits,
     )
     return model
+
+
+def start_posture(model: RobotModel) -> NDArray[np.float64]:
+    """Return joints (n,) from which an arm of unknown habits can move all ways: the middle of its limits, or where that
+    is singular, as a UR's stretched arm is, the least singular of some around it with the tool above the base.
+    """
+
+    def agility(q: NDArray[np.float64]) -> float:
+        return float(np.linalg.svd(model.jacobian(q), compute_uv=False).min())
+
+    best = middle = model.middle()
+    most = agility(middle)
+    if most >= _AGILE:
+        return best
+    half = np.fmin(0.45 * (model.upper - model.lower), _SPREAD)
+    half[0] = 0.0  # straight ahead
+    for q in middle + half * np.random.default_rng(0).uniform(-1.0, 1.0, (300, model.n)):
+        value = agility(q)
+        if value > most and model.forward(q).translation[2] > 0.1:
+            best, most = q, value
+    return best

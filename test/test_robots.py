@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from ik_controller.robots import build_model, bundled_parameters
+from ik_controller.robots import build_model, bundled_parameters, start_posture
 from ik_controller.share import robot_folder, robot_names
 
 ROOT = Path(__file__).parent.parent
@@ -127,6 +127,17 @@ def test_the_posture_is_a_good_place_to_start(name):
     assert (margin > 0.3).all(), "away from the limits"
     assert np.linalg.svd(robot.jacobian(posture), compute_uv=False)[-1] > 0.04, "away from singularities"
     assert robot.forward(posture).rotation[2, 2] < -0.999, "the tool looks down"
+
+
+def test_an_arm_without_a_posture_starts_where_it_can_move():
+    robot, panda = model("ur5e"), model("panda")
+    assert np.linalg.svd(robot.jacobian(robot.middle()), compute_uv=False)[-1] < 1e-6, "stretched"
+    start = start_posture(robot)
+    assert np.linalg.svd(robot.jacobian(start), compute_uv=False)[-1] > 0.1
+    assert ((robot.lower < start) & (start < robot.upper)).all()
+    assert robot.forward(start).translation[2] > 0.1
+    np.testing.assert_array_equal(start_posture(robot), start)
+    np.testing.assert_array_equal(start_posture(panda), panda.middle())  # no bad place
 
 
 @pytest.mark.parametrize("name", robot_names())

@@ -14,7 +14,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the verb's arguments."""
     add_model_arguments(parser, default="panda")
     parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="joint_states a second (1000)")
-    parser.add_argument("--start", type=float, nargs="+", metavar="Q", help="joints at the start (the robot's posture)")
+    parser.add_argument(
+        "--start",
+        type=float,
+        nargs="+",
+        metavar="Q",
+        help="joints at the start (the robot's posture)",
+    )
     parser.add_argument("--delay", type=float, default=0.0, metavar="S", help="delay of a command [s]")
     parser.add_argument("--lag", type=float, default=0.0, metavar="S", help="time constant of a first-order lag [s]")
     parser.add_argument(
@@ -31,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run until SIGINT or SIGTERM."""
     import numpy as np
 
-    from ik_controller.robots import build_model
+    from ik_controller.robots import build_model, start_posture
 
     if not 1.0 <= arguments.rate <= 2000.0:
         raise ParameterError(f"--rate {arguments.rate:g}: need 1 to 2000 Hz")
@@ -41,7 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise ParameterError(f"--{name} {value:g}: need 0 or more")
     parameters = parameters_from(arguments)
     model = build_model(parameters)
-    q = np.array(arguments.start or parameters.posture or model.middle(), dtype=float)
+    q = np.array(arguments.start or parameters.posture or start_posture(model), dtype=float)
     if q.shape != (model.n,) or not np.isfinite(q).all():
         raise ParameterError(f"--start: need {model.n} finite values for {', '.join(model.joint_names)}")
     from ik_controller.ros.arm import simulate

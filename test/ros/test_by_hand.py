@@ -56,6 +56,7 @@ def test_the_page_steers_and_follows(live, viewer):
     live.until(lambda: viewer._model is not None, "the viewer to show the arm")
     live.until(lambda: {"measured", "commanded"} <= set(page._shown), "both arms to be shown")
     live.until(lambda: "holding" in page._sentence.content, "the status on the page")
+    assert viewer._pose is None  # who only watches does not publish targets
 
     forget(live)
     start = page._tool.copy()
@@ -86,6 +87,7 @@ def test_the_page_steers_and_follows(live, viewer):
     live.until_status("paused")
     page._steering.press("resume")
     live.until_status("holding")
+    live.until(lambda: viewer._pose is None, "the page to publish no targets any more")
 
 
 def test_the_page_comes_back_with_its_node(rig):
@@ -94,7 +96,8 @@ def test_the_page_comes_back_with_its_node(rig):
 
     rig.start_sim(*PANDA)
     node = rig.start_node(robot="panda", rate=250.0, record=False)
-    viewer = Viewer("/ik_controller", "test", context=rig.context)
+    failure = [""]
+    viewer = Viewer("/ik_controller", "test", context=rig.context, failed=lambda: failure[0])
     thread = threading.Thread(target=viewer.run)
     thread.start()
     try:
@@ -102,6 +105,8 @@ def test_the_page_comes_back_with_its_node(rig):
         rig.until(lambda: "holding" in sentence.content, "the status on the page")
         node.kill()
         rig.until(lambda: "no node answers" in sentence.content, "the page to see that the node is gone")
+        failure[0] = "the node process has ended: killed"
+        rig.until(lambda: failure[0] in sentence.content, "the page to say that it will not come back")
         rig.start_node(robot="panda", rate=250.0, record=False)
         rig.until(lambda: "holding" in sentence.content, "the page to find the node again")
         rig.until(lambda: viewer._model is not None, "the arm to be shown again")
