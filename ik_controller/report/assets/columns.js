@@ -4,10 +4,8 @@
 const run = JSON.parse(document.getElementById("content").textContent);
 const columns = (() => {
   const element = document.getElementById("columns");
-  const text = atob(element.textContent);
+  const bytes = decoded(element.textContent);
   element.remove(); // megabytes that are not needed any more
-  const bytes = new Uint8Array(text.length);
-  for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
   const found = {};
   let at = 0;
   for (const { name, kinds, type } of run.columns) {
@@ -24,6 +22,13 @@ const columns = (() => {
   return found;
 })();
 const time = columns.time_s.first;
+
+function decoded(base64) {
+  if (Uint8Array.fromBase64) return Uint8Array.fromBase64(base64);
+  const text = atob(base64), bytes = new Uint8Array(text.length);
+  for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
+  return bytes;
+}
 
 // The bucket that holds a time [s].
 function bucketAt(t) {

@@ -88,7 +88,9 @@ const page = (() => {
   get("theme").addEventListener("click", () => { setTheme(root.dataset.theme === "dark" ? "light" : "dark"); redraw(); });
   dark.addEventListener("change", () => { setTheme(dark.matches ? "dark" : "light"); redraw(); });
   let before = null;
-  addEventListener("beforeprint", () => { // on paper: light, two plots beside each other, tables open
+  addEventListener("beforeprint", () => {
+    while (waiting.length) makeNext();
+    // on paper: light, two plots beside each other, tables open
     before = { theme: root.dataset.theme, open: [...document.querySelectorAll("details")].map((d) => d.open) };
     setTheme("light");
     document.querySelectorAll("details").forEach((d) => { d.open = true; });
@@ -103,7 +105,22 @@ const page = (() => {
     fit();
     redraw();
   });
+
+  // Plots are made one by one, each in a task of its own: what is in sight first, so that the page is there at once.
+  const sight = (chart) => { const { top, bottom } = chart.box.getBoundingClientRect(); return bottom < 0 ? -bottom : Math.max(top - innerHeight, 0); };
+  const waiting = [...charts];
+  const makeNext = () => {
+    waiting.sort((a, b) => sight(a) - sight(b));
+    waiting.shift().make();
+  };
+  const makeRest = () => {
+    if (!waiting.length) return;
+    makeNext();
+    setTimeout(makeRest);
+  };
+  while (waiting.some((chart) => sight(chart) === 0)) makeNext();
   fit();
   show(Math.floor(0.35 * run.rows));
-  return { show, charts, scene, lanes, get now() { return now; } };
+  requestAnimationFrame(() => setTimeout(makeRest));
+  return { show, charts, scene, lanes, get now() { return now; }, get ready() { return !waiting.length; } };
 })();

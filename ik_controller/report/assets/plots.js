@@ -31,8 +31,8 @@ class Chart {
       return element("span", button, "", "number");
     });
     this.host = element("div", this.box, null, "plot");
+    this.host.style.minHeight = `${HEIGHT}px`; // the page keeps its length while plots come
     this.range = null;
-    this.make();
   }
 
   button(head, name, act) {
@@ -56,9 +56,9 @@ class Chart {
     const data = [time], series = [{}];
     this.series.forEach((s, i) => {
       const { low, high } = columns[s.column];
-      const scaled = factor == null ? (v) => 100 * (v - s.center) / s.half : (v) => v / factor;
-      const [a, b] = this.log ? [plain(low, high, scaled, Math.min), plain(low, high, scaled, Math.max)]
-        : [plain(low, low, scaled, null), banded ? plain(high, high, scaled, null) : null];
+      const [slope, from] = factor == null ? [100 / s.half, s.center] : [1 / factor, 0];
+      const [a, b] = this.log ? [lengths(low, high, slope, Math.min), banded ? lengths(low, high, slope, Math.max) : null]
+        : [plain(low, slope, from), banded ? plain(high, slope, from) : null];
       const ink = () => colour(`--c${i % 8}`), style = { show: this.shown[i], points: { show: false }, spanGaps: false };
       if (banded) { // the lows are only there for the scale
         data.push(b, a); series.push({ ...style, stroke: ink, fill: ink, width: 1, paths: band }, { ...style, paths: () => null });
@@ -95,7 +95,7 @@ class Chart {
 
   scale(data) {
     if (this.log) {
-      const values = data.slice(1).filter((_, i) => this.shown[run.bucket > 1 ? i >> 1 : i]).flatMap((column) => sample(column)).filter((v) => v > 0).sort((a, b) => a - b);
+      const values = data.slice(1).filter((_, i) => this.shown[run.bucket > 1 ? i >> 1 : i]).flatMap(sample).filter((v) => v > 0).sort((a, b) => a - b);
       const high = values.length ? values[values.length - 1] : 1;
       const low = values.length ? Math.max(values[Math.floor(0.03 * values.length)], high * 1e-9) : 0.1;
       return { distr: 3, range: () => [10 ** Math.floor(Math.log10(low)), 10 ** Math.ceil(Math.log10(high * 1.01))] };
@@ -129,6 +129,7 @@ class Chart {
   // Move the cursor to a bucket, and tell its numbers.
   show(k) {
     this.bucket = k;
+    if (!this.plot) return;
     const x = this.plot.valToPos(time[k], "x");
     this.line.style.display = x >= 0 && x <= this.plot.over.clientWidth ? "" : "none";
     this.line.style.transform = `translateX(${x.toFixed(1)}px)`;
@@ -141,6 +142,7 @@ class Chart {
 
   zoom(min, max) {
     this.range = { min, max };
+    if (!this.plot) return;
     this.ready = false;
     this.plot.setScale("x", this.range);
     queueMicrotask(() => { this.ready = true; this.show(this.bucket); });
@@ -148,11 +150,12 @@ class Chart {
 
   resize(width, height) {
     this.height = height || HEIGHT;
+    if (!this.plot) return;
     this.plot.setSize({ width: width || Math.max(this.host.clientWidth, 200), height: this.height });
     queueMicrotask(() => this.show(this.bucket));
   }
 
-  redraw() { this.plot.redraw(false, true); }
+  redraw() { this.plot?.redraw(false, true); }
 }
 
 // The path of a band between the highs of series i and the lows behind them: one outline, a point a pixel at most. It is
@@ -184,18 +187,20 @@ function band(u, i, first, last) {
   return { stroke: sparse ? path : null, fill: path };
 }
 
-// A column for uPlot: gaps are null.
-function plain(low, high, scaled, pick) {
-  const made = new Array(low.length);
-  for (let k = 0; k < low.length; k++) {
-    let value = low[k];
-    if (pick) { // lengths, for a logarithmic axis
-      const [a, b] = [Math.abs(scaled(low[k])), Math.abs(scaled(high[k]))];
-      value = pick(a, b);
-      made[k] = value > 0 ? value : null;
-    } else made[k] = Number.isNaN(value) ? null : scaled(value);
-  }
-  return made;
+// A column for uPlot: slope · (value - from), gaps are null.
+function plain(column, slope, from) {
+  const made = new Float64Array(column.length);
+  let gaps = false;
+  for (let k = 0; k < column.length; k++) gaps = Number.isNaN(made[k] = slope * (column[k] - from)) || gaps;
+  return gaps ? Array.from(made, (v) => (Number.isNaN(v) ? null : v)) : made;
+}
+
+// The same of lengths, for a logarithmic axis; nothing is a gap there.
+function lengths(low, high, slope, pick) {
+  const made = new Float64Array(low.length);
+  let gaps = false;
+  for (let k = 0; k < low.length; k++) gaps = !((made[k] = slope * pick(Math.abs(low[k]), Math.abs(high[k]))) > 0) || gaps;
+  return gaps ? Array.from(made, (v) => (v > 0 ? v : null)) : made;
 }
 
 function sample(column) {
@@ -216,7 +221,7 @@ function extent({ low, high }) {
 
 // How far the largest stands out of the middle.
 function spread(values) {
-  const sorted = Array.from(values).filter((v) => v > 0).sort((a, b) => a - b);
+  const sorted = values.filter((v) => v > 0).sort(); // a typed array sorts by number
   return sorted.length ? sorted[sorted.length - 1] / sorted[sorted.length >> 1] : 1;
 }
 
