@@ -8,6 +8,7 @@ import platform
 from functools import cache
 from pathlib import Path
 
+from ik_controller import __version__
 from ik_controller.kinematics.accelerate import HAS_NUMBA
 
 _LIBRARIES = ("numpy", "pin", "daqp", "rosbags", "mcap")
@@ -16,7 +17,7 @@ _ROOMS = ("kinematics", "control", "messages")  # whose text decides every bit o
 
 def software() -> dict[str, str]:
     """Return what may change a bit of the result: our version, Python, libraries, processor."""
-    versions = {"ik_controller": _version("ik_controller"), "python": platform.python_version()}
+    versions = {"ik_controller": __version__, "python": platform.python_version()}
     versions.update({name: _version(name) for name in _LIBRARIES})
     versions["numba"] = _version("numba") if HAS_NUMBA else "none"
     versions["processor"] = _processor()

@@ -262,7 +262,9 @@ def _note_provenance(result: Replay, info: RunInfo, session: Session) -> None:
     """Note what is not as it was when the run was recorded."""
     versions = software()
     result.software = {
-        name: (then, versions.get(name, "none")) for name, then in info.software.items() if versions.get(name) != then
+        name: (then, versions.get(name, "none"))
+        for name, then in info.software.items()
+        if then not in (versions.get(name), "unknown")  # that of a run from a folder that was not installed
     }
     if info.code and info.code != code():
         result.code = info.code, code()

@@ -212,7 +212,10 @@ def tables(run: Run) -> list[dict[str, Any]]:
         )
     ]
     now = run.replay.software
-    software = [[name, then, now[name][1] if name in now else "the same"] for name, then in info.software.items()]
+    software = [
+        [name, "not noted", ""] if then == "unknown" else [name, then, now[name][1] if name in now else "the same"]
+        for name, then in info.software.items()
+    ]
     robot = [
         ["robot", model.robot_name],
         ["base frame → tip frame", f"{model.base_frame} → {model.tip_frame}"],

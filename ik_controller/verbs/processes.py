@@ -61,8 +61,7 @@ class Processes:
         for name in names:
             process = self._running[name]
             process.send_signal(signal.SIGINT)
-            # A terminal's Ctrl-C has reached it before, so that this signal may come after its own handlers have gone.
-            if process.wait(PATIENCE) not in (0, -signal.SIGINT, 128 + signal.SIGINT):
+            if process.wait(PATIENCE) != 0:
                 raise IkControllerError(f"the {name} process failed: {self.last_line()} (all of it: {self.log})")
 
     def close(self) -> None:

@@ -175,7 +175,7 @@ class Extremes:
 
 
 OPENED = """() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(
-  () => done(performance.now()))))"""  # [ms] since the navigation began, after a frame with what is in sight was painted
+  () => done(performance.now()))))"""  # [ms] since the navigation began, when what is in sight was painted
 REACTIONS = """async () => {
   const painted = () => new Promise((done) => requestAnimationFrame(() => setTimeout(done)));
   const slider = document.getElementById('slider'), found = {slider: [], zoom: [], theme: []};
@@ -232,7 +232,8 @@ def test_a_long_run_stays_small_keeps_its_peaks_and_opens_at_once(seconds, chrom
     told = ", ".join(f"{what} {np.median(ms):.0f} ms (at most {max(ms):.0f})" for what, ms in reactions.items())
     print(
         f"\n{seconds:.0f} s at 1 kHz: recorded in {made - begin:.0f} s, reported in {written - made:.0f} s: "
-        f"{file.stat().st_size / MEGABYTE:.1f} MB; painted after {painted:.0f} ms, what is out of sight {complete:.0f} ms; reacts: {told}"
+        f"{file.stat().st_size / MEGABYTE:.1f} MB; painted after {painted:.0f} ms, "
+        f"what is out of sight after {complete:.0f} ms; reacts: {told}"
     )
     done(watched, file)
 

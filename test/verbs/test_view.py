@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -44,23 +42,6 @@ def test_a_recorded_run_is_served(tmp_path):
             assert process.wait(60.0) == 0
         finally:
             process.kill()
-
-
-def test_ctrl_c_in_a_terminal_ends_the_page_its_arm_and_its_node(tmp_path):
-    pytest.importorskip("viser")
-    pytest.importorskip("rclpy")
-    command = [sys.executable, "-m", "ik_controller.cli", "view", "--sim", "--port", "0", "--json"]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path, start_new_session=True
-    ) as process:
-        try:
-            assert process.stdout is not None
-            assert json.loads(process.stdout.readline())["url"]
-            os.killpg(process.pid, signal.SIGINT)  # a terminal tells them all
-            assert process.wait(120.0) == 0, process.stderr.read()
-        finally:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
 
 
 def test_the_run_on_the_page_is_the_run_in_the_bag():

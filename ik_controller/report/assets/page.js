@@ -28,7 +28,7 @@ const page = (() => {
     for (const row of rows) {
       const line = element("tr", table);
       row.forEach((text, i) => breakable(element("td", line, text, i === 0 && text.length > 40 ? "wide" : /^-?[\d.]+$/.test(text) ? "count" : "")));
-      if (header[2] === "at this replay" && row[2] !== "the same") line.className = "changed";
+      if (header[2] === "at this replay" && row[2] && row[2] !== "the same") line.className = "changed";
     }
   }
 
