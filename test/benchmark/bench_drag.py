@@ -96,17 +96,16 @@ def main() -> None:
                 page = Watched(chromium, viewport={"width": WIDTH, "height": HEIGHT}).page
                 page.add_init_script(EVENTS)
                 page.goto(url)
-                page.get_by_text("holding").first.wait_for()
+                page.get_by_text("holding").first.wait_for(timeout=240_000.0)  # a node that compiles first takes long
                 time.sleep(3.0)  # until the arm is drawn
                 for k in range(arguments.drags):
                     sign = -1.0 if k % 2 else 1.0
                     began.append(drag(page, grip + 45.0 * along, sign * 16.0 * along))
                     grip = grip + sign * 16.0 * along  # the arm, and the arrows with it, will be there
                     time.sleep(REST)
+        finally:  # not killed, so that its arm and its node end with it
             process.send_signal(signal.SIGINT)
-            process.wait(30.0)
-        finally:
-            process.kill()
+            process.wait(60.0)
         (run,) = (path for path in Path(folder).iterdir() if path.is_dir())
         poses, moving = recorded(run)
     to_target, to_command = [], []
