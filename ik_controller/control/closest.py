@@ -1,13 +1,14 @@
-"""The closest approach to a target that lies beyond a joint's position bound: sliding along the bound.
+"""The closest approach to a target that lies beyond joints' position bounds: sliding along the bounds.
 
-Where a joint stands at its bound, the wanted velocity leads it further, and redundancy cannot help, the tool cannot
-move in the wanted direction at all: s = 0. Then, and only then, and only towards a pose, the direction is given up for
+Where joints stand at their bounds, those that are left may be as good as singular for the wanted direction: the tool
+then creeps along it or not at all while they race. There, and only towards a pose, the direction is given up for
 
-    minimize  ‖J q̇ − (ẋ_d + K e)‖² + c ‖D q̇‖²   subject to the joints' speed and position bounds.
+    minimize  ½ q̇ᵀM q̇ − q̇ᵀJᵀ(ẋ_d + K e)   subject to the joints' speed and position bounds,
 
-q̇ = 0 solves that exactly where no joint within its bounds can bring the tool nearer to the target (in metres and
-radians, weighted by K), so the arm comes to rest there; on the way the error only falls. It leaves as soon as the
-wanted velocity leads inward again.
+M as in `curvature`. q̇ = 0 solves that exactly where no joint within its bounds can bring the tool nearer to the target
+(in metres and radians, weighted by K), so the arm comes to rest there; on the way the error only falls. By the smallest
+singular value σ of what the free joints can do, the direction leads over to this: not at all above 4 ε, in full below
+2 ε. It is left as soon as the target leads inward again.
 """
 
 from __future__ import annotations
@@ -15,48 +16,64 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ik_controller.control.kernel import braking_factor
+from ik_controller.control.curvature import bend, curved_squares, nearness
+from ik_controller.control.kernel import BRAKING, SCALARS, braking_factor
 from ik_controller.control.least_distance import least_distance
 from ik_controller.control.reach import ENDLESS
 
 Array = NDArray[np.float64]
 
-_WEIGHT = 1e-6  # c
+_DAMPING = 1e-3  # λ
 _TOLERANCE = 1e-12
-_AT_BOUND = 1e-9  # of the speed limit
-
-
-def blocked(jacobian: Array, task_velocity: Array, low: Array, high: Array, speed: Array) -> int:
-    """Return the joint at its bound that `task_velocity` (6,) would lead further, −1 where there is none.
-
-    `jacobian` J (6, n); `low`, `high` (n,): the velocities that the joints may take; `speed` (n,): their limits.
-    """
-    wanted = np.linalg.pinv(jacobian, rcond=1e-6) @ task_velocity
-    further = np.where(wanted > 0.0, high <= _AT_BOUND * speed, low >= -_AT_BOUND * speed) & (wanted != 0.0)
-    return int(np.argmax(np.where(further, np.abs(wanted) / speed, -1.0))) if further.any() else -1
+_NEAR = 0.2  # share of the speed limit that a joint near its bound may have towards it
 
 
 def slide(
-    jacobian: Array, task_velocity: Array, room: Array, speed: Array, braking: Array, fastest: float, dt: float
-) -> Array:
-    """Return the velocity (n,) of the closest approach, before accelerations are looked at.
+    axes: Array,
+    jacobian: Array,
+    task_velocity: Array,
+    wanted: Array,
+    room: Array,
+    speed: Array,
+    law: Array,
+    dt: float,
+) -> tuple[Array, float, int]:
+    """Return the velocity (n,) of the closest approach before accelerations are looked at, the share in which it is to
+    be taken, and the joint at its bound that keeps the tool back most, −1 where none does.
 
-    J (6, n); `task_velocity` ẋ_d + K e (6,); `room` (2n,): way to the upper bounds, then to the lower ones; `speed`,
-    `braking`: velocity limits (n,), and the table of `braking_factor`; `fastest`: largest rate of K.
+    J (6, n); `axes` (m, 6) of the tool that are to move, at `task_velocity` ẋ_d + K e (m,); `wanted` (n,): the
+    velocity that keeps the direction; `room` (2n,): way to the upper bounds, then to the lower ones; `speed`: velocity
+    limits (n,); `law`: its table.
     """
     n = speed.size
-    twice = np.concatenate((braking[0], braking[0]))
+    task, braking = axes @ jacobian, law[BRAKING : BRAKING + 2, :n]
+    fastest, damping, threshold, rank = law[SCALARS, [0, 2, 3, 4]]
     room = np.clip(room, 0.0, ENDLESS)
+    twice = np.concatenate((braking[0], braking[0]))
     stoppable = 2.0 * room / (np.sqrt(dt * dt + 2.0 * room / twice) + dt)  # as in `kernel.fastest_stoppable`
     stoppable = np.fmin(stoppable, room / dt)
     most = np.fmin(stoppable / np.concatenate((speed, speed)), 1.0)
-    task = jacobian * speed
-    factor = np.linalg.inv(np.linalg.cholesky(task.T @ task + _WEIGHT * np.eye(n)))
-    free = factor.T @ (factor @ (task.T @ task_velocity))
+    if not (most < _NEAR).any():
+        return np.zeros(n), 0.0, -1
+    error = axes.T @ task_velocity / fastest
+    factor = np.linalg.inv(
+        np.linalg.cholesky(curved_squares(task, bend(jacobian, error), _DAMPING) * np.outer(speed, speed))
+    )
+    free = factor.T @ (factor @ (speed * (task.T @ task_velocity)))
     rest = np.zeros(n)
     if not least_distance(
         np.ascontiguousarray(factor.T), -most[n:] - free, most[:n] - free, _TOLERANCE * (1.0 + abs(free).max()), rest
     ):
-        return np.zeros(n)
-    velocity: Array = np.clip(free + factor.T @ rest, -most[n:], most[:n]) * speed
-    return velocity * braking_factor(velocity, fastest, braking)
+        return np.zeros(n), 1.0, int(most.argmin()) % n
+    velocity: Array = np.clip(free + factor.T @ rest, -most[n:], most[:n])
+    # A joint counts the less the nearer it stands to a bound that the direction leads it to.
+    lead = wanted / speed
+    lead = lead / max(float(np.abs(lead).max()), 1e-300)
+    outward = np.fmin(most[:n] + np.fmax(-lead, 0.0), most[n:] + np.fmax(lead, 0.0))
+    freedom = np.fmin(outward / _NEAR, 1.0)
+    values = np.linalg.svd(task * freedom, compute_uv=False)
+    directions = int(min(rank, len(task)))
+    sigma = values.item(directions - 1) if values.size >= directions else 0.0
+    share = nearness(jacobian, error, sigma, damping, threshold)
+    velocity = velocity * speed
+    return velocity * braking_factor(velocity, float(fastest), braking), share, int(outward.argmin())

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ik_controller.control.bounded import CLOSEST
-from ik_controller.control.closest import blocked, slide
+from ik_controller.control.closest import slide
 from ik_controller.control.gate import Gate
 from ik_controller.control.kernel import (
     BRAKING,
@@ -42,7 +42,6 @@ from ik_controller.parameters import ControllerParameters, gain_matrix
 Array = NDArray[np.float64]
 
 _ZERO = np.zeros(6)
-_STUCK = 1e-9  # s below which the tool does not move in the wanted direction
 _REST, _AWAY = 1e-3, 1e-6  # at rest: a share of the speed limits; away: an error of the tool [m, rad]
 _NO_POSE = np.zeros(3), np.eye(3)
 
@@ -246,9 +245,9 @@ class Controller:
                 how, scale, joint, limit = bounded_cycle(wanted, jacobian, table, self._state, reserve, False, dt, out)
         if not measure:
             out[2 * n + 6 :] = error
-        if scale < _STUCK and has_pose and how != NOT_FINITE:
+        if scale < 1.0 and has_pose and how != NOT_FINITE:
             tool, ask = law.jacobian(self._middle(at, dt)), law.feedback(out[2 * n + 6 :], feedback) + twist
-            how, joint, limit = self._slide(tool, tool, ask, dt, table, out) or (how, joint, limit)
+            how, joint, limit = self._slide(tool, np.eye(6), ask, wanted, dt, table, out) or (how, joint, limit)
 
         status = followed(scale, LIMITS[limit], joint, sigma < law.threshold, sigma, how != CLOSEST)
         return self._finish(out, how == NOT_FINITE, has_pose, status, wanted, jacobian, dt, table)
@@ -315,22 +314,29 @@ class Controller:
         )
 
     def _slide(
-        self, jacobian: Array, task: Array, task_velocity: Array, dt: float, table: Array, out: Array
+        self,
+        jacobian: Array,
+        axes: Array,
+        task_velocity: Array,
+        wanted: Array,
+        dt: float,
+        table: Array,
+        out: Array,
     ) -> tuple[int, int, int] | None:
-        """Write to `out` the way to the closest approach, where a joint at its bound keeps the tool from moving at all;
-        return (how, joint, limit), None where that is not so.
+        """Lead the velocity in `out` over to the way to the closest approach, as far as joints at their bounds keep the
+        tool from its direction; return (how, joint, limit), None where none does.
 
-        `jacobian` (6, n) of the tool; `task` (m, n), the same or the rows of selected axes, and what they should do.
+        `jacobian` (6, n) of the tool; `axes` (m, 6) of it that are to move, and how, (m,); `wanted` (n,), that by the
+        law.
         """
         limits, law, n = self._limits, self._law, self._n
-        limits.update(self._q, self._v, dt, table)
-        joint = blocked(task, task_velocity, limits.low, limits.high, limits.velocity)
-        if joint < 0:
-            return None
         room = table[BOUNDS] - np.concatenate((self._q, -self._q))
-        fastest, braking = law.table[SCALARS, 0], law.table[BRAKING : BRAKING + 2, :n]
-        wanted = slide(task, task_velocity, room, limits.velocity, braking, fastest, dt)
-        velocity = np.fmin(np.fmax(wanted, limits.low), limits.high)
+        closer, share, joint = slide(axes, jacobian, task_velocity, wanted, room, limits.velocity, law.table, dt)
+        if not share > 0.0:
+            return None
+        limits.update(self._q, self._v, dt, table)
+        before = out[n : 2 * n]
+        velocity = before + share * (np.fmin(np.fmax(closer, limits.low), limits.high) - before)
         out[: 2 * n + 6] = np.concatenate((self._q + dt * velocity, velocity, jacobian @ velocity))
         return CLOSEST, joint, BY_POSITION
 
@@ -345,10 +351,10 @@ class Controller:
             law.chain, law.table, table, self._state, at, position, np.ascontiguousarray(rotation), twist, has_pose,
             self._limits.reserve, dt, out, detail, *stack.tables,
         )  # fmt: skip
-        if scale < _STUCK and has_pose and how != NOT_FINITE:
+        if scale < 1.0 and has_pose and how != NOT_FINITE:
             tool = law.jacobian(self._middle(at, dt))
             rows, ask = stack.wanted(position, rotation, twist, out[2 * n + 6 :], law.table[:6, :6], at)
-            how, joint, limit = self._slide(tool, rows @ tool, ask, dt, table, out) or (how, joint, limit)
+            how, joint, limit = self._slide(tool, rows, ask, detail[0], dt, table, out) or (how, joint, limit)
         status = Status(Code.TRACKING, scale, LIMITS[limit], joint, sigma < law.threshold, sigma, how != CLOSEST)
         return self._finish(out, how == NOT_FINITE, has_pose, status, detail[0], detail[1:], dt, table)
 

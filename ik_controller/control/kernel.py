@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.control.bounded import bounded_velocity
+from ik_controller.control.curvature import follow_bend, nearness
 from ik_controller.control.interval import lets_go
 from ik_controller.control.reach import ACCELERATION, JERK, LAST, VELOCITY, velocity_interval, within
 from ik_controller.kinematics.accelerate import compiled
@@ -22,9 +23,6 @@ from ik_controller.kinematics.small import gram, times, transposed_times
 
 Array = NDArray[np.float64]
 
-# Near a singularity the feedback K e is slowed as a whole to these speeds of the tool along any axis.
-FASTEST_APPROACH = 1.5  # [m/s]
-FASTEST_TURN = 3.0  # [rad/s]
 # From so many ε on, σ_min lets the path's speed be planned ahead: closer, what J does next is not what it did last.
 AHEAD = 1.5
 # Share of the acceleration limits that the approach to a target plans its braking with; the rest is for the moving
@@ -82,22 +80,6 @@ def braking_factor(approach: Array, fastest: float, braking: Array) -> float:
         if ratio > start:
             beta = min(beta, (math.sqrt(lag * lag + 2.0 * ratio - start * start) - lag) / ratio)
     return beta
-
-
-@compiled
-def unhurried(feedback: Array, sigma: float, threshold: float) -> float:
-    """Return the share of K e (6,) that is followed: less than 1 while σ_min is below 4 ε, in full below 2 ε.
-
-    A target beyond reach has a large e for good: J⁺ K e then changes sign at the stretched arm faster than the joints
-    can brake, and throws the arm through the singularity again and again.
-    """
-    if sigma >= 4.0 * threshold:
-        return 1.0
-    near = min(2.0 - 0.5 * sigma / threshold, 1.0)
-    haste = 1.0
-    for i in range(3):
-        haste = max(haste, abs(feedback[i]) / FASTEST_APPROACH, abs(feedback[3 + i]) / FASTEST_TURN)
-    return 1.0 / (1.0 + near * (haste - 1.0))
 
 
 @compiled
@@ -166,12 +148,18 @@ def bound_tool(
 
 @compiled
 def task_velocity(
-    jacobian: Array, inverse: Array, feed_forward: Array, feedback: Array, share: float, law: Array, at: Array
+    jacobian: Array,
+    inverse: Array,
+    feed_forward: Array,
+    approach: Array,
+    share: float,
+    law: Array,
+    at: Array,
 ) -> Array:
     """Return J⁺(ẋ_d + β K e) + (I − J⁺J) q̇₀ (n,), with J⁺ = Jᵀ · `inverse`.
 
-    `feed_forward` ẋ_d and `feedback` (6,), of which `share` is K e; `law` as above; q̇₀ leads from `at` (n,) to the
-    posture, slowed as a whole to its limits.
+    `feed_forward` ẋ_d (6,), `approach` J⁺K e (n,), of which `share` is followed; `law` as above; q̇₀ leads from `at`
+    (n,) to the posture, slowed as a whole to its limits.
     """
     m, n = jacobian.shape
     gain, ratio, space = law[SCALARS, 1], 1.0, np.empty((2, max(m, n)))
@@ -183,7 +171,6 @@ def task_velocity(
         steady[i] = feed_forward[i]
         for j in range(n):
             steady[i] -= jacobian[i, j] * (seek[j] / ratio)
-    approach = transposed_times(jacobian, times(inverse, feedback))
     beta = share * braking_factor(approach, share * law[SCALARS, 0], law[BRAKING : BRAKING + 2])
     result = transposed_times(jacobian, times(inverse, steady[:m]))
     for j in range(n):
@@ -263,11 +250,15 @@ def tool_velocity(
     kinematics(chain, middle, turn, tool, jacobian)
     threshold = law[SCALARS, 3]
     inverse, sigma = damped_gram_inverse(gram(jacobian), law[SCALARS, 2], threshold, int(law[SCALARS, 4]))
-    share = unhurried(feedback, sigma, threshold)
+    approach = transposed_times(jacobian, times(inverse, feedback))
+    if sigma < 4.0 * threshold:
+        pull = feedback / law[SCALARS, 0]
+        near = nearness(jacobian, pull, sigma, law[SCALARS, 2], threshold)
+        if near > 0.0:
+            follow_bend(approach, jacobian, jacobian, feedback, pull, near, law[SCALARS, 2])
     bounded = not tool_is_free(law)
-    if bounded:
-        share = min(share, stoppable_share(feedback, law))
-    wanted[:] = task_velocity(jacobian, inverse, twist, feedback, share, law, at)
+    share = stoppable_share(feedback, law) if bounded else 1.0
+    wanted[:] = task_velocity(jacobian, inverse, twist, approach, share, law, at)
     slower, limit = 1.0, FREE
     if bounded:
         slower, limit = bound_tool(wanted, jacobian, inverse, state[2 * n :], state[n : 2 * n], law, dt)

@@ -27,11 +27,9 @@ from ik_controller.control.kernel import (
     bounded_cycle,
     tool_cycle,
     tool_is_free,
-    unhurried,
 )
 from ik_controller.control.reach import ACCELERATION, BOUNDS, JERK, LAST, VELOCITY
 from ik_controller.kinematics.chain import PinocchioChain
-from ik_controller.kinematics.damped_inverse import damping_factors
 
 Array = NDArray[np.float64]
 
@@ -62,7 +60,7 @@ class PlainCycle:
         self._law = law
         self._plain_law = self._fits and tool_is_free(law) and scalars[4] >= 6
         self._gain = np.ascontiguousarray(law[:6, :6])
-        self._fastest, self._posture_gain, self._damping, self._threshold = scalars[:4]
+        self._fastest, self._posture_gain, _, self._threshold = scalars[:4]
         self._posture = law[POSTURE, :n].copy()
         self._per_seek = 1.0 / law[SEEK_LIMIT, :n]
         self._per_braking = self._fastest / law[BRAKING, :n]
@@ -127,9 +125,11 @@ class PlainCycle:
         spectrum = eigenpy.SelfAdjointEigenSolver(jacobian.dot(transposed))
         values, directions = spectrum.eigenvalues(), spectrum.eigenvectors()
         sigma = math.sqrt(max(values.item(0), 0.0))
+        if sigma < 4.0 * self._threshold:  # seldom, and with more to do
+            return tool_cycle(
+                chain, law, limits, state, at, position, rotation, twist, feedback, measure, reserve, dt, out, detail
+            )
         np.dot(self._gain, self._e, self._approach)
-        if sigma < 4.0 * self._threshold:
-            self._approach *= unhurried(self._approach, sigma, self._threshold)
         self._steady[:] = twist
         seek = self._seek
         if self._posture_gain:
@@ -140,10 +140,7 @@ class PlainCycle:
                 np.divide(seek, ratio, seek)
             np.subtract(self._steady, jacobian.dot(seek), self._steady)
         image = self._sides.dot(directions)
-        if sigma < self._threshold:
-            image *= damping_factors(values, self._damping, self._threshold)
-        else:
-            np.divide(image, values, image)
+        np.divide(image, values, image)
         steady, approach = image.dot(directions.T).dot(jacobian)
         ratio = _largest(approach, self._per_braking, t)
         if ratio > 1.0:

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ik_controller.control.curvature import follow_bend, nearness
 from ik_controller.control.kernel import (
     AHEAD,
     BRAKING,
@@ -36,7 +37,6 @@ from ik_controller.control.kernel import (
     braking_factor,
     stoppable_share,
     tool_is_free,
-    unhurried,
 )
 from ik_controller.control.objectives import (
     CENTRING,
@@ -152,7 +152,7 @@ def add_rest(rest: Array, weights: Array, projector: Array, velocity: Array) -> 
 def stack_velocity(
     rows: Array,
     feed_forward: Array,
-    feedback: Array,
+    approach: Array,
     share: float,
     inverse: Array,
     levels: Array,
@@ -167,13 +167,12 @@ def stack_velocity(
 ) -> None:
     """Write the velocity (n,) of the whole stack, and of its first task alone to `own` (n,).
 
-    First task: `rows` J₁ (m, n), ẋ₁ `feed_forward` and K e `feedback` (m,), of which `share` is followed, `inverse`
-    (m, m) so that J₁⁺ = J₁ᵀ · inverse. Secondary: `rates` (k,) of the rows `secondary` (k, n), task i from
+    First task: `rows` J₁ (m, n), ẋ₁ `feed_forward` (m,) and `approach` J₁⁺K e (n,), of which `share` is followed,
+    `inverse` (m, m) so that J₁⁺ = J₁ᵀ · inverse. Secondary: `rates` (k,) of the rows `secondary` (k, n), task i from
     `starts`[i] to `starts`[i + 1].
     """
     m, n = rows.shape
-    approach = transposed_times(rows, times(inverse, share * feedback))
-    beta = braking_factor(approach, law[SCALARS, 0], law[BRAKING : BRAKING + 2])
+    beta = share * braking_factor(approach, share * law[SCALARS, 0], law[BRAKING : BRAKING + 2])
     velocity[:] = transposed_times(rows, times(inverse, feed_forward)) + beta * approach
     own[:] = velocity
     projector = np.eye(n)
@@ -277,16 +276,21 @@ def stack_cycle(
             inverse, sigma = damped_gram_inverse(
                 gram(jacobian_1), law[SCALARS, 2], law[SCALARS, 3], int(axes[OPTIONS, 1])
             )
-            share = unhurried(back, sigma, law[SCALARS, 3])
             if bounded:
-                share = min(share, stoppable_share(back, law))
-        feed_back, k = np.empty(used), 0
+                share = stoppable_share(back, law)
+        feed_back, pull, k = np.empty(used), np.zeros(6), 0
         for i in range(6):
             if held[i] > 0.0:
                 feed_back[k] = back[i]
                 k += 1
+                for axis in range(6):
+                    pull[axis] += selection[i, axis] * back[i] / law[SCALARS, 0]
+        approach = transposed_times(jacobian_1, times(inverse, feed_back))
+        near = nearness(jacobian, pull, sigma, law[SCALARS, 2], law[SCALARS, 3]) if used > 0 else 0.0
+        if near > 0.0:
+            follow_bend(approach, jacobian_1, jacobian, feed_back, pull, near, law[SCALARS, 2])
         stack_velocity(
-            jacobian_1, ahead[:used], feed_back, share, inverse, levels, starts, secondary, rates, rest, law,
+            jacobian_1, ahead[:used], approach, share, inverse, levels, starts, secondary, rates, rest, law,
             objectives[WEIGHTS], own, wanted,
         )  # fmt: skip
         if not leaves_band(axes, selection, jacobian, wanted, forward, feedback, law, held, edge):

@@ -98,6 +98,42 @@ def test_the_closest_approach_is_at_rest_and_every_way_back_is_open(name, direct
         assert np.abs(difference(back, robot.model.forward(step.position))).max() < 1e-6, difference(back, edge)
 
 
+def rest_beyond_reach(name: str, seed: int, seconds: float = 12.0) -> float:
+    """Send an arm to a pose out of reach, drawn by `seed`; return the largest share of the speed limits in the end."""
+    robot = bundled(name) if name in ("panda", "ur5e") else small_arm(name)
+    random = np.random.default_rng(seed)
+    way = random.normal(size=3)
+    way *= random.uniform(1.0, 3.0) / np.linalg.norm(way)
+    turn = random.normal(size=3) * random.choice([0.0, 0.5])
+    target = Reference.pose(moved(robot.model.forward(robot.home), np.concatenate((way, turn))))
+    controller, speeds = started(robot), []
+    for _ in range(round(seconds / DT)):
+        step = controller.step(controller.position, target, DT)
+        speeds.append(np.abs(step.velocity / robot.model.velocity_limit).max())
+        if len(speeds) > 1000 and max(speeds[-500:]) < 1e-3:
+            assert step.status.closest
+            return max(speeds[-500:])
+    return max(speeds[-500:])
+
+
+def small_arm(name: str) -> Robot:
+    model = RobotModel.from_urdf(getattr(arms, name)(), "tool")
+    return Robot(model, ControllerParameters(), model.middle() + 0.1)
+
+
+@pytest.mark.parametrize(("name", "seed"), [("panda", 2), ("panda", 7), ("ur5e", 1), ("scara", 2), ("planar_3r", 1)])
+def test_a_target_out_of_reach_is_approached_to_rest(name, seed):
+    """Stretched out, at joint bounds, or both: not thrown about, and not chattering between two ways."""
+    assert rest_beyond_reach(name, seed) < 1e-3
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("name", ["panda", "ur5e", "scara", "planar_2r", "planar_3r"])
+def test_forty_targets_out_of_reach_are_approached_to_rest(name):
+    moving = {seed: speed for seed in range(40) if (speed := rest_beyond_reach(name, seed)) >= 1e-3}
+    assert not moving
+
+
 def limited_ur5e() -> Robot:
     """The UR5e with 0.3 rad less than it needs of joint 1."""
     robot = bundled("ur5e")
