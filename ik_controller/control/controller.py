@@ -22,7 +22,6 @@ from ik_controller.control.kernel import (
     BY_POSITION,
     FREE,
     NOT_FINITE,
-    SCALARS,
     bounded_cycle,
     braking_factor,
     tool_is_free,
@@ -284,7 +283,8 @@ class Controller:
             status = status._replace(scale=1.0, limit=Limit.NONE, joint=-1, feasible=True)
             return self._pass_by(wanted, task, dt, out[2 * n + 6 :], status)
         self._keep(out)
-        if has_pose and (status.damped or not status.feasible) and self._rests_away(out[2 * n + 6 :]):
+        may_rest = status.damped or not status.feasible or self._law.directions < 6
+        if has_pose and may_rest and self._rests_away(out[2 * n + 6 :]):
             status = status._replace(closest=True)
         return Step(self._q, self._v, out[2 * n + 6 :], status)
 
@@ -298,7 +298,7 @@ class Controller:
         """
         if not self._started or status.code not in (Code.TRACKING, Code.STOPPING, Code.HOLDING):
             return status
-        axes, rank = np.eye(6), int(self._law.table[SCALARS, 4])
+        axes, rank = np.eye(6), self._law.directions
         if self._law.stack is not None:
             axes, rank = self._law.stack.selected(self._q)
         directions, values, _ = np.linalg.svd(axes @ self._law.jacobian(self._q))

@@ -73,6 +73,7 @@ class Law:
             gain, rates = share * gain, share * rates
         self.feed_forward = parameters.feed_forward
         self.threshold = parameters.singular_value_threshold
+        self.directions = _directions(model)
         self.chain = solver_chain(model)
         self.cycle = tool_cycle if HAS_NUMBA else PlainCycle(self.chain)
         self.table = np.zeros((11, max(n, 9)))  # rows as `kernel` numbers them
@@ -82,7 +83,7 @@ class Law:
             parameters.posture_gain if parameters.posture else 0.0,
             parameters.damping,
             parameters.singular_value_threshold,
-            _directions(model),
+            self.directions,
             *(bound or np.inf for bound in _tool_bounds(parameters)),
         )
         braking = BRAKING_SHARE * model.acceleration_limit * parameters.acceleration_scale

@@ -111,7 +111,7 @@ def rest_beyond_reach(name: str, seed: int, seconds: float = 12.0) -> float:
         step = controller.step(controller.position, target, DT)
         speeds.append(np.abs(step.velocity / robot.model.velocity_limit).max())
         if len(speeds) > 1000 and max(speeds[-500:]) < 1e-3:
-            assert step.status.closest
+            assert step.status.closest or np.abs(step.error).max() < 1e-6  # a long way may lead to the other side
             return max(speeds[-500:])
     return max(speeds[-500:])
 

@@ -248,7 +248,9 @@ def _(rig: Rig) -> Iterator[tuple[str, str]]:
 
 @provokes("jerk limit")
 def _(rig: Rig) -> Iterator[tuple[str, str]]:
-    with jolted(rig):
+    """A twist that turns back three times a second, on joints that are slow to change their acceleration."""
+    assert rig.set_parameters(jerk_scale=0.1).successful
+    with rig.sending("target_twist", lambda: twist(z=0.1 if time.monotonic() // 0.3 % 2 else -0.1)):
         yield "jerk limit of 'panda_joint", "status"
 
 
@@ -287,7 +289,8 @@ def _(rig: Rig) -> Iterator[tuple[str, str]]:
 
 @provokes("infeasible")
 def _(rig: Rig) -> Iterator[tuple[str, str]]:
-    with jolted(rig):
+    """Now left, now right behind the arm, out of reach: it slides along its joints' bounds."""
+    with rig.sending("target_pose", lambda: pose(-1.5, 0.5 if time.monotonic() % 2.0 < 1.0 else -0.5, 0.0)):
         yield "the wanted direction cannot be kept", "status"
 
 
@@ -383,14 +386,6 @@ def _(rig: Rig) -> Iterator[tuple[str, str]]:
 
 
 # -- what several of them need
-
-
-@contextmanager
-def jolted(rig: Rig) -> Iterator[None]:
-    """A twist that turns back three times a second, on joints that are slow to change their acceleration."""
-    assert rig.set_parameters(jerk_scale=0.1).successful
-    with rig.sending("target_twist", lambda: twist(z=0.1 if time.monotonic() // 0.3 % 2 else -0.1)):
-        yield
 
 
 @contextmanager
