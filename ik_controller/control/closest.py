@@ -19,13 +19,12 @@ from numpy.typing import NDArray
 from ik_controller.control.curvature import bend, curved_squares, nearness
 from ik_controller.control.kernel import BRAKING, SCALARS, braking_factor
 from ik_controller.control.least_distance import least_distance
-from ik_controller.control.reach import ENDLESS
+from ik_controller.control.reach import ENDLESS, NEAR
 
 Array = NDArray[np.float64]
 
 _DAMPING = 1e-3  # λ
 _TOLERANCE = 1e-12
-_NEAR = 0.2  # share of the speed limit that a joint near its bound may have towards it
 
 
 def slide(
@@ -53,7 +52,7 @@ def slide(
     stoppable = 2.0 * room / (np.sqrt(dt * dt + 2.0 * room / twice) + dt)  # as in `kernel.fastest_stoppable`
     stoppable = np.fmin(stoppable, room / dt)
     most = np.fmin(stoppable / np.concatenate((speed, speed)), 1.0)
-    if not (most < _NEAR).any():
+    if not (most < NEAR).any():
         return np.zeros(n), 0.0, -1
     error = axes.T @ task_velocity / fastest
     factor = np.linalg.inv(
@@ -70,7 +69,7 @@ def slide(
     lead = wanted / speed
     lead = lead / max(float(np.abs(lead).max()), 1e-300)
     outward = np.fmin(most[:n] + np.fmax(-lead, 0.0), most[n:] + np.fmax(lead, 0.0))
-    freedom = np.fmin(outward / _NEAR, 1.0)
+    freedom = np.fmin(outward / NEAR, 1.0)
     values = np.linalg.svd(task * freedom, compute_uv=False)
     directions = int(min(rank, len(task)))
     sigma = values.item(directions - 1) if values.size >= directions else 0.0

@@ -15,6 +15,7 @@ from ik_controller.kinematics.accelerate import HAS_NUMBA, compiled
 
 Array = NDArray[np.float64]
 
+NEAR = 0.2  # share of the speed limit that a joint near its bound may have towards it, or less
 ENDLESS = 1e18  # room ahead of a joint without bounds [rad or m]
 
 # Rows of the table of limits (7, 2n); each holds its values upward (first n) and downward (last n).
@@ -68,6 +69,18 @@ def apply_jerk(q: Array, v: Array, dt: float, limits: Array, reserve: bool, reac
             least, most = jerk_interval(v[i], a, dt, up, down, speed, speed, acceleration, full_jerk)
             lowest, highest = min(max(lowest, least), most), min(max(highest, least), most)
         reach[i], reach[n + i] = highest, -lowest
+
+
+@compiled
+def near_bound(q: Array, limits: Array) -> bool:
+    """Tell whether a joint of q (n,) is so near a bound that it must be slow towards it."""
+    n = q.shape[0]
+    for i in range(2 * n):
+        room = limits[BOUNDS, i] - (q[i] if i < n else -q[i - n])
+        slow = NEAR * limits[VELOCITY, i]
+        if room * limits[ACCELERATION, i] < slow * slow:
+            return True
+    return False
 
 
 @compiled

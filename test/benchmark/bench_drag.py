@@ -1,6 +1,6 @@
 """How long the arm takes to follow a hand: from the mouse in the browser to the node's first command that moves.
 
-    python test/benchmark/bench_drag.py [--drags 20]
+    python test/benchmark/bench_drag.py [--drags 8]
 
 Runs what `make view` runs: a simulated arm, its node at 1 kHz and the live page, in headless Chromium, which drags the
 target by its arrow. Each drag begins from rest. The times are from the browser's own pointer event to the stamp of the
@@ -76,7 +76,7 @@ def drag(page: Any, grip: np.ndarray, way: np.ndarray) -> list[float]:
 def main() -> None:
     """Drag and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--drags", type=int, default=20)
+    parser.add_argument("--drags", type=int, default=8)
     arguments = parser.parse_args()
     began = []
     parameters = bundled_parameters("panda")
