@@ -247,23 +247,27 @@ class JointStateReader:
 
 
 class JointStateWriter:
-    """Writes JointState messages with positions and velocities of fixed joints."""
+    """Writes JointState messages with positions and velocities of fixed joints, or positions alone."""
 
-    def __init__(self, joint_names: tuple[str, ...]) -> None:
+    def __init__(self, joint_names: tuple[str, ...], velocities: bool = True) -> None:
         n = len(joint_names)
-        empty = message(JOINT_STATE, header(0, ""), list(joint_names), np.zeros(n), np.zeros(n), np.zeros(0))
+        speeds = np.zeros(n if velocities else 0)
+        empty = message(JOINT_STATE, header(0, ""), list(joint_names), np.zeros(n), speeds, np.zeros(0))
         self._buffer = bytearray(encode(empty))
         self._position = _layout(bytes(self._buffer))[1]
         after = self._position + 8 * n + 4
         self._velocity = after + (4 - after) % 8
         self._size = 8 * n
 
-    def write(self, stamp: int, position: Array, velocity: Array) -> bytes:
-        """Return the message's bytes; `stamp` [ns], position (n,) [rad or m], velocity (n,) [rad/s or m/s]."""
+    def write(self, stamp: int, position: Array, velocity: Array | None) -> bytes:
+        """Return the message's bytes; `stamp` [ns], position (n,) [rad or m], velocity (n,) [rad/s or m/s], None where
+        only positions are written.
+        """
         buffer, size = self._buffer, self._size
         _STAMP.pack_into(buffer, 4, stamp // _SECOND, stamp % _SECOND)
         buffer[self._position : self._position + size] = position.tobytes()
-        buffer[self._velocity : self._velocity + size] = velocity.tobytes()
+        if velocity is not None:
+            buffer[self._velocity : self._velocity + size] = velocity.tobytes()
         return bytes(buffer)
 
     def wrote(

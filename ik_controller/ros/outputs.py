@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.duration import Duration
@@ -45,6 +44,7 @@ class Outputs:
         self._commanded_joints = node.create_publisher(JointState, "~/commanded_joints", 1)
         self._telling = Telling(model)
         self._encode = cdr.JointStateWriter(model.joint_names).write
+        self._encode_positions = cdr.JointStateWriter(model.joint_names, velocities=False).write
         self.topics = default_topics(node.get_fully_qualified_name())
         inputs = inputs_of(parameters)
         for role in set(INPUTS) - set(inputs):  # a type that is not installed here
@@ -79,13 +79,16 @@ class Outputs:
             sent.append(("tracking_error", error))
         return sent
 
-    def show(self, now: int, session: Session, step: Step | None) -> None:
-        """Send measured and commanded joints to those who watch, if anybody does; not recorded: the bag has them."""
+    # For those who watch, if anybody does; not recorded: the bag has them.
+
+    def show_measured(self, now: int, session: Session) -> None:
+        """Send the measured joints."""
         measured = session.measured
         if measured is not None and self._measured_joints.get_subscription_count():
-            names = list(session.model.joint_names)
-            said = cdr.message(cdr.JOINT_STATE, cdr.header(now, ""), names, measured, np.zeros(0), np.zeros(0))
-            self._measured_joints.publish(cdr.encode(said))
+            self._measured_joints.publish(self._encode_positions(now, measured, None))
+
+    def show_commanded(self, now: int, session: Session, step: Step | None) -> None:
+        """Send the commanded joints."""
         if step is not None and self._commanded_joints.get_subscription_count():
             self._commanded_joints.publish(self._encode(now + session.period, step.position, step.velocity))
 

@@ -173,9 +173,12 @@ class Runner:
         self.monitor.cycle(index, now, late)
         if index % self._monitor_every == 0:
             self._record(now, self._outputs.tell(now, session, step))
-        if index % self._show_every == 3:
-            self._outputs.show(now, session, step)
         # What takes long is spread over the cycles, so that none of them runs into the next.
+        shown = index % self._show_every
+        if shown == 3:
+            self._outputs.show_measured(now, session)
+        elif shown == 1:
+            self._outputs.show_commanded(now, session, step)
         if index % _LOOK == _LOOK // 2:
             glance = self.monitor.glance()
             if index % self._status_every == _LOOK // 2 or glance != self._told:

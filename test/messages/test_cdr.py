@@ -71,6 +71,8 @@ def test_writer_writes_the_bytes_that_rosbags_would(names, stamp, position, velo
     message = writer.write(stamp, q, v)
     assert message == joint_state(names, q, v, (), stamp)
     assert writer.positions(message).tobytes() == q.tobytes()
+    alone = cdr.JointStateWriter(tuple(names), velocities=False)
+    assert alone.write(stamp, q, None) == joint_state(names, q, (), (), stamp)
     read = cdr.decode(cdr.JOINT_STATE, message)
     assert read.name == list(names)
     assert cdr.stamp_of(read) == stamp
