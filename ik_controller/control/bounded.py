@@ -156,6 +156,19 @@ def _weigh(null: Array, secondary: Array, weights: Array, limit: Array) -> None:
 
 
 @compiled
+def _moving_part(vector: Array, null: Array) -> Array:
+    """Return what of a vector (n,) moves the tool: the rest of it beside `null` (p, n)."""
+    part: Array = vector.copy()
+    for i in range(null.shape[0]):
+        total = 0.0
+        for j in range(vector.shape[0]):
+            total += null[i, j] * vector[j]
+        for j in range(vector.shape[0]):
+            part[j] -= total * null[i, j]
+    return part
+
+
+@compiled
 def _most_at_ease(aim: Array, last: Array, null: Array, limit: Array, step: Array) -> float:
     """Return the largest s ≤ 1 that the tool can be brought to in this cycle without help from the null space.
 
@@ -163,13 +176,7 @@ def _most_at_ease(aim: Array, last: Array, null: Array, limit: Array, step: Arra
     a·b/a·a the joints change by s aim − b − s_last (aim − a), each by its `step` (n,) at most; 1 where no s does that.
     """
     n = aim.shape[0]
-    part, along, square = aim.copy(), 0.0, 0.0
-    for i in range(null.shape[0]):
-        total = 0.0
-        for j in range(n):
-            total += null[i, j] * aim[j]
-        for j in range(n):
-            part[j] -= total * null[i, j]
+    part, along, square = _moving_part(aim, null), 0.0, 0.0
     for j in range(n):
         along += part[j] * last[j]
         square += part[j] * part[j]
@@ -212,13 +219,7 @@ def _most_ahead(
     `aim`: so none lets go of its acceleration faster than the others can, before s is at `fastest`. Arrays as above.
     """
     n = aim.shape[0]
-    part, along, square, change = aim.copy(), 0.0, 0.0, 0.0
-    for i in range(null.shape[0]):
-        total = 0.0
-        for j in range(n):
-            total += null[i, j] * aim[j]
-        for j in range(n):
-            part[j] -= total * null[i, j]
+    part, along, square, change = _moving_part(aim, null), 0.0, 0.0, 0.0
     unit, hardest, curve = math.inf, math.inf, 0.0
     for j in range(n):
         along += part[j] * last[j]

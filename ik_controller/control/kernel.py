@@ -316,22 +316,9 @@ def bounded_cycle(
             )  # fmt: skip
         else:
             scale, how = bounded_velocity(
-                wanted,
-                task,
-                last,
-                low,
-                high,
-                speeds,
-                step,
-                rows,
-                bounds,
-                velocity,
-                own,
-                secondary,
-                weights,
-                motion,
-                ahead,
-            )
+                wanted, task, last, low, high, speeds, step, rows, bounds, velocity, own, secondary, weights,
+                motion, ahead,
+            )  # fmt: skip
     for j in range(n):
         out[j] = q[j] + dt * velocity[j]
         out[n + j] = velocity[j]

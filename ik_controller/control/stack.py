@@ -310,20 +310,9 @@ def stack_cycle(
     for i in range(levels.shape[0]):
         weights[int(starts[i]) : int(starts[i + 1])] = weight
         weight = max(_NEXT_WEIGHT * weight, 1.0)
+    planned = sigma >= AHEAD * law[SCALARS, 3]
     how, scale, joint, limit = bounded_cycle(
-        wanted,
-        jacobian,
-        limits,
-        state,
-        reserve,
-        sigma >= AHEAD * law[SCALARS, 3],
-        dt,
-        out,
-        jacobian_1,
-        last,
-        own,
-        secondary[:total],
-        weights,
+        wanted, jacobian, limits, state, reserve, planned, dt, out, jacobian_1, last, own, secondary[:total], weights
     )
     return how, slower * scale, joint, by_tool if limit == FREE else limit, sigma
 

@@ -148,6 +148,17 @@ BOUNDS = {
 }
 
 
+def assert_tool_bounds_hold(poses: list, dt: float) -> None:
+    """Hold the tool's poses, dt [s] apart, against BOUNDS."""
+    twists = np.array([difference(then, now) / dt for now, then in pairwise(poses)])
+    changes = np.diff(twists, axis=0) / dt
+    for part, kind in ((slice(0, 3), "linear"), (slice(3, 6), "angular")):
+        fastest = np.linalg.norm(twists[:, part], axis=1).max()
+        hardest = np.linalg.norm(changes[:, part], axis=1).max()
+        assert fastest <= BOUNDS[f"tool_{kind}_speed"] * (1 + 1e-3)
+        assert hardest <= BOUNDS[f"tool_{kind}_acceleration"] * 1.1
+
+
 @pytest.mark.parametrize(
     "change", [[0.2, 0.2, -0.2, 0, 0, 0], [0, 0, 0, 0.5, -0.3, 0.4], [0.1, -0.2, 0, 0.1, 0.2, 0.3]]
 )
@@ -163,13 +174,7 @@ def test_the_tools_own_bounds_hold_while_tracking_and_stopping(change):
         step = controller.step(controller.position, reference, dt)
         limits.add(step.status.limit)
         poses.append(robot.model.forward(step.position))
-    twists = np.array([difference(then, now) / dt for now, then in pairwise(poses)])
-    changes = np.diff(twists, axis=0) / dt
-    for part, kind in ((slice(0, 3), "linear"), (slice(3, 6), "angular")):
-        fastest = np.linalg.norm(twists[:, part], axis=1).max()
-        hardest = np.linalg.norm(changes[:, part], axis=1).max()
-        assert fastest <= BOUNDS[f"tool_{kind}_speed"] * (1 + 1e-3)
-        assert hardest <= BOUNDS[f"tool_{kind}_acceleration"] * 1.1
+    assert_tool_bounds_hold(poses, dt)
     assert {Limit.TOOL_SPEED, Limit.TOOL_ACCELERATION} & limits
     assert np.abs(difference(target, poses[3199])).max() < 1e-4
 
@@ -184,10 +189,6 @@ def test_the_tools_own_bounds_hold_towards_joint_targets_too():
         step = controller.step(controller.position, reference, dt)
         limits.add(step.status.limit)
         poses.append(robot.model.forward(step.position))
-    twists = np.array([difference(then, now) / dt for now, then in pairwise(poses)])
-    changes = np.diff(twists, axis=0) / dt
-    for part, kind in ((slice(0, 3), "linear"), (slice(3, 6), "angular")):
-        assert np.linalg.norm(twists[:, part], axis=1).max() <= BOUNDS[f"tool_{kind}_speed"] * (1 + 1e-3)
-        assert np.linalg.norm(changes[:, part], axis=1).max() <= BOUNDS[f"tool_{kind}_acceleration"] * 1.1
+    assert_tool_bounds_hold(poses, dt)
     assert {Limit.TOOL_SPEED, Limit.TOOL_ACCELERATION} <= limits
     np.testing.assert_allclose(step.position, target, atol=1e-6)
