@@ -32,9 +32,10 @@ demo: $(KERNELS)  ## the main job: simulated arm, node and target streamer over 
 view: $(KERNELS) $(VIEW)  ## a simulated arm in the browser: drag its target
 	@$(BIN)/ik_controller view --sim
 
-# Two at a time, a file as a whole: most tests wait for processes more than they compute.
+# Two at a time, a file as a whole: most tests wait for processes more than they compute. A worker that dies ends the run:
+# what it had started still lives, and its successor would meet it.
 test: $(KERNELS) $(DEV)  ## the test suite
-	@$(BIN)/python -m pytest -m "not soak" -n 2 --dist loadfile
+	@$(BIN)/python -m pytest -m "not soak" -n 2 --dist loadfile --max-worker-restart 0
 
 soak: $(KERNELS) $(DEV)  ## checks too long for every day
 	@$(BIN)/python -m pytest -m soak

@@ -44,6 +44,9 @@ from ik_controller.robots import build_model, bundled_parameters
 
 os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+# Not through shared memory: Fast DDS 2.14 crashes now and then (SharedMemChannelResource::release) where participants
+# come and go while others are killed, and who is killed leaves segments and locks behind. demo and view run with it.
+os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
 
 ROOT = Path(__file__).resolve().parents[2]
 _AT_ONCE = 1000  # messages of one topic
