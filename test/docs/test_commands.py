@@ -1,7 +1,7 @@
 """Every command line of README.md, bags/README.md and docs/ is one that works: the offline ones are run, as written.
 
 What needs ROS processes or colcon is run by test/ros, test/verbs and scripts/check_colcon.sh; here only its words are
-checked.
+checked, those of `ros2 launch` by test/ros/test_launch_files.py.
 """
 
 from __future__ import annotations

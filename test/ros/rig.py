@@ -358,9 +358,9 @@ class Rig:
         """Return the node's lifecycle state."""
         return str(self.request(f"{node}/get_state", GetState, GetState.Request()).current_state.label)
 
-    def get_parameter(self, name: str) -> Any:
+    def get_parameter(self, name: str, node: str = "/ik_controller") -> Any:
         request = GetParameters.Request(names=[name])
-        response = self.request("/ik_controller/get_parameters", GetParameters, request)
+        response = self.request(f"{node}/get_parameters", GetParameters, request)
         return parameter_value_to_python(response.values[0])
 
     def request(self, name: str, kind: Any, request: Any, node: str = "") -> Any:
