@@ -1,9 +1,9 @@
 """One cycle without Numba: the law of `kernel` in NumPy, where a step of Python costs as much as a whole small product.
 
 Nearly every cycle is away from all limits. Such a one goes through `PlainCycle` in some thirty calls of NumPy, Eigen
-and Pinocchio into arrays made beforehand; whatever it does not cover (jerk limits, bounds of the tool, mimic joints, fewer
-than six directions, other errors) goes through the kernels' own source, as does the bounded problem where the velocity
-may be beyond a limit. Both ways give the same velocities but for rounding; a test holds them together.
+and Pinocchio into arrays made beforehand; whatever it does not cover (jerk limits, bounds of the tool, mimic joints,
+fewer than six directions, other errors) goes through the kernels' own source, as does the bounded problem where the
+velocity may be beyond a limit. Both ways give the same velocities but for rounding; a test holds them together.
 
 What is looked at joint by joint is looked at as Python floats: seven joints cost less so than one reduction of NumPy.
 """
