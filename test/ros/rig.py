@@ -375,7 +375,8 @@ class Rig:
 
         def answer() -> Any:
             nonlocal again
-            if time.monotonic() > again:  # on a machine that is held up for seconds, an answer may be lost
+            # Fast DDS gives a process up that stands still for 20 s, and an answer under way is lost.
+            if time.monotonic() > again:
                 again = time.monotonic() + _AGAIN
                 asked.append(client.call_async(request))
             self._executor.spin_once(timeout_sec=0.01)
