@@ -29,7 +29,7 @@ from ik_controller.control.kernel import (
 from ik_controller.control.law import Law
 from ik_controller.control.limits import JointLimits
 from ik_controller.control.obstacles import Obstacles, Scene
-from ik_controller.control.reach import BOUNDS, LAST, near_bound
+from ik_controller.control.reach import BOUNDS, LAST
 from ik_controller.control.reference import Reference
 from ik_controller.control.stack import stack_cycle
 from ik_controller.control.status import LIMITS, Code, Limit, Status, followed
@@ -244,7 +244,7 @@ class Controller:
                 how, scale, joint, limit = bounded_cycle(wanted, jacobian, table, self._state, reserve, False, dt, out)
         if not measure:
             out[2 * n + 6 :] = error
-        if scale < 1.0 and has_pose and how != NOT_FINITE and near_bound(self._q, table):
+        if scale < 1.0 and has_pose and how != NOT_FINITE and law.near_bound(self._q, table):
             tool, ask = law.jacobian(self._middle(at, dt)), law.feedback(out[2 * n + 6 :], feedback) + twist
             how, joint, limit = self._slide(tool, np.eye(6), ask, wanted, dt, table, out) or (how, joint, limit)
 
@@ -351,7 +351,7 @@ class Controller:
             law.chain, law.table, table, self._state, at, position, np.ascontiguousarray(rotation), twist, has_pose,
             self._limits.reserve, dt, out, detail, *stack.tables,
         )  # fmt: skip
-        if scale < 1.0 and has_pose and how != NOT_FINITE and near_bound(self._q, table):
+        if scale < 1.0 and has_pose and how != NOT_FINITE and law.near_bound(self._q, table):
             tool = law.jacobian(self._middle(at, dt))
             rows, ask = stack.wanted(position, rotation, twist, out[2 * n + 6 :], law.table[:6, :6], at)
             how, joint, limit = self._slide(tool, rows, ask, detail[0], dt, table, out) or (how, joint, limit)

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ik_controller.control import plain
 from ik_controller.control.kernel import (
     BRAKING,
     BRAKING_SHARE,
@@ -36,7 +37,7 @@ from ik_controller.control.kernel import (
     tool_cycle,
     tool_is_free,
 )
-from ik_controller.control.plain import PlainCycle
+from ik_controller.control.reach import near_bound
 from ik_controller.control.reference import Reference
 from ik_controller.control.tasks import TaskStack, is_configured
 from ik_controller.errors import ArgumentError, ParameterError
@@ -58,7 +59,7 @@ _POSTURE_SHARE = 0.2
 
 class Law:
     """The law's constants for one model and one set of parameters: `cycle` is `kernel.tool_cycle` or
-    its form in NumPy; `chain` and `table` are what it takes.
+    its form in NumPy, `near_bound` that of `reach`; `chain` and `table` are what the first takes.
     """
 
     def __init__(self, model: RobotModel, parameters: ControllerParameters) -> None:
@@ -75,7 +76,8 @@ class Law:
         self.threshold = parameters.singular_value_threshold
         self.directions = _directions(model)
         self.chain = solver_chain(model)
-        self.cycle = tool_cycle if HAS_NUMBA else PlainCycle(self.chain)
+        self.cycle = tool_cycle if HAS_NUMBA else plain.PlainCycle(self.chain)
+        self.near_bound = near_bound if HAS_NUMBA else plain.near_bound
         self.table = np.zeros((11, max(n, 9)))  # rows as `kernel` numbers them
         self.table[:6, :6] = gain
         self.table[SCALARS, :9] = (

@@ -19,8 +19,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ik_controller.control.bounded import ALONG
 from ik_controller.control.kernel import (
-    AHEAD,
     BRAKING,
     FREE,
     POSTURE,
@@ -30,7 +30,8 @@ from ik_controller.control.kernel import (
     tool_cycle,
     tool_is_free,
 )
-from ik_controller.control.reach import ACCELERATION, BOUNDS, JERK, LAST, VELOCITY
+from ik_controller.control.plain_path import MOST_JOINTS, PlainPath
+from ik_controller.control.reach import ACCELERATION, BOUNDS, JERK, LAST, NEAR, VELOCITY
 from ik_controller.kinematics.chain import PinocchioChain
 
 Array = NDArray[np.float64]
@@ -77,6 +78,7 @@ class PlainCycle:
         with np.errstate(all="ignore"):
             stop = np.tile(velocity * (0.5 * velocity / acceleration + dt), 2)
             room = np.where(np.isfinite(limits[BOUNDS]), limits[BOUNDS] - stop, math.inf)
+        self._path = PlainPath(velocity, acceleration * dt)
         box = velocity, acceleration * dt, -room[n:], room[:n]
         self._idle = list(zip(*(row.tolist() for row in box), strict=True))
 
@@ -149,18 +151,44 @@ class PlainCycle:
 
         out[2 * n + 6 :] = self._e
         q = state[:n]
-        for joint, before, place, (speed, step, low, high) in zip(
+        for velocity, before, place, (speed, step, low, high) in zip(
             wanted.tolist(), v.tolist(), q.tolist(), self._idle, strict=True
         ):
             # Written so that what is not finite fails.
-            if not (-speed < joint < speed and -step < joint - before < step and low < place < high):
-                beyond = sigma >= AHEAD * self._threshold
-                return *bounded_cycle(wanted, detail[1:], limits, state, reserve, beyond, dt, out), sigma
+            if not (-speed < velocity < speed and -step < velocity - before < step and low < place < high):
+                how, scale, joint, limit = self._bounded(wanted, jacobian, limits, state, reserve, dt, out)
+                return how, scale, joint, limit, sigma
         np.multiply(wanted, dt, ahead)
         np.add(q, ahead, out[:n])
         out[n : 2 * n] = wanted
         np.dot(jacobian, wanted, out[2 * n : 2 * n + 6])
-        return 0, 1.0, -1, FREE, sigma
+        return ALONG, 1.0, -1, FREE, sigma
+
+    def _bounded(
+        self, wanted: Array, jacobian: Array, limits: Array, state: Array, reserve: bool, dt: float, out: Array
+    ) -> tuple[int, float, int, int]:
+        """`kernel.bounded_cycle` away from singularities: on floats, where no joint is near its bounds and the tool's
+        direction can be held.
+        """
+        n, path = self._n, self._path
+        v, tool = state[n : 2 * n], state[2 * n : 2 * n + 6]
+        found = None
+        if n <= MOST_JOINTS and math.isfinite(wanted.dot(wanted)) and self._has_room(state[:n].tolist(), v.tolist()):
+            found = path.velocity(wanted, v, jacobian, tool)
+        if found is None:
+            return bounded_cycle(wanted, jacobian, limits, state, reserve, True, dt, out)
+        velocity, scale, joint, limit = found
+        np.add(state[:n], velocity * dt, out[:n])
+        out[n : 2 * n] = velocity
+        np.dot(jacobian, velocity, out[2 * n : 2 * n + 6])
+        return ALONG, scale, joint, limit
+
+    def _has_room(self, q: list[float], v: list[float]) -> bool:
+        """Tell whether every joint may have its full speed in both directions."""
+        return all(
+            low < place < high and abs(velocity) <= speed
+            for place, velocity, (speed, _, low, high) in zip(q, v, self._idle, strict=True)
+        )
 
 
 class PlainCheck:
@@ -195,6 +223,16 @@ class PlainCheck:
         np.multiply(self._change, 1.0 / dt, memory[2])
         last[:], speed[:] = q, v
         return 0
+
+
+def near_bound(q: Array, limits: Array) -> bool:
+    """Tell the same as `reach.near_bound`."""
+    places = q.tolist()
+    rows = limits[BOUNDS : ACCELERATION + 1].tolist()
+    return any(
+        (bound - place) * acceleration < (NEAR * speed) ** 2
+        for place, bound, speed, acceleration in zip(places + [-place for place in places], *rows, strict=True)
+    )
 
 
 def _largest(vector: Array) -> float:
