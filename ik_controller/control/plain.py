@@ -51,6 +51,7 @@ class PlainCycle:
         frame = self._at.oMf[self._tool]
         self._position, self._rotation = frame.translation, frame.rotation.T  # views: they follow the data
         self._e, self._gram, self._ahead, self._seek = np.empty(6), np.empty((6, 6)), np.empty(n), np.empty(n)
+        self._motion = np.empty((2, n))  # v and the last acceleration
         self._linear, self._angular = self._e[:3], self._e[3:]
         self._spectrum, self._cholesky = eigenpy.SelfAdjointEigenSolver(6), eigenpy.LLT(6)
         self._law: Array | None = None
@@ -62,16 +63,16 @@ class PlainCycle:
         self._law = law
         self._plain_law = self._fits and tool_is_free(law) and scalars[4] >= 6
         self._gain = np.ascontiguousarray(law[:6, :6])
-        self._fastest, self._posture_gain, _, self._threshold = scalars[:4]
+        fastest, self._posture_gain, _, self._threshold = scalars[:4]
         self._posture = law[POSTURE, :n].copy()
-        self._per_seek = 1.0 / law[SEEK_LIMIT, :n]
-        self._per_braking = self._fastest / law[BRAKING, :n]
-        self._gentle = law[BRAKING, :n].min().item() / self._fastest
+        self._seek_limit, self._approach_limit = law[SEEK_LIMIT, :n], law[BRAKING, :n] / fastest
+        self._slowest_seek, self._slowest_approach = min(self._seek_limit.tolist()), min(self._approach_limit.tolist())
 
     def _take_limits(self, limits: Array, dt: float) -> None:
         """Take apart a table of limits: an idle joint is one within the box that always leaves room to stop."""
         n = self._n
         self._table, self._dt, self._last = limits, dt, limits[LAST, :n]
+        self._half = np.array((0.5 * dt, 0.5 * dt * dt))
         velocity, acceleration = limits[VELOCITY, :n], limits[ACCELERATION, :n]
         even = bool((limits[VELOCITY : ACCELERATION + 1, :n] == limits[VELOCITY : ACCELERATION + 1, n:]).all())
         self._plain_limits = not bool(np.isfinite(limits[JERK]).any()) and even and bool((velocity > 0.0).all())
@@ -114,9 +115,9 @@ class PlainCycle:
         pin.updateFramePlacement(self._pin_model, self._at, tool)
         np.subtract(position, self._position, self._linear)
         self._angular[:] = pin.log3(rotation.dot(self._rotation))
-        np.multiply(self._last, dt, ahead)
-        np.add(ahead, v, ahead)
-        np.multiply(ahead, 0.5 * dt, ahead)
+        motion = self._motion
+        motion[0], motion[1] = v, self._last
+        np.dot(self._half, motion, ahead)
         np.add(ahead, at, ahead)
         jacobian = pin.computeFrameJacobian(self._pin_model, self._middle, ahead, tool, pin.LOCAL_WORLD_ALIGNED)
 
@@ -129,8 +130,8 @@ class PlainCycle:
             )
         inverse = self._cholesky.compute(gram)
         task = self._gain.dot(self._e)
-        if math.sqrt(task.dot(task)) > self._gentle * sigma:  # else |J⁺K e| ≤ |K e|/σ_min is
-            ratio = _largest(inverse.solve(task).dot(jacobian) * self._per_braking)
+        if math.sqrt(task.dot(task)) > sigma * self._slowest_approach:  # else |J⁺K e| ≤ |K e|/σ_min is slow enough
+            ratio = _largest(inverse.solve(task).dot(jacobian) / self._approach_limit)
             if ratio > 1.0:
                 task *= math.sqrt(2.0 * ratio - 1.0) / ratio
         np.add(task, twist, task)
@@ -142,9 +143,8 @@ class PlainCycle:
             seek = self._seek
             np.subtract(self._posture, at, seek)
             np.multiply(seek, self._posture_gain, seek)
-            ratio = _largest(seek * self._per_seek)
-            if ratio > 1.0:
-                np.divide(seek, ratio, seek)
+            if math.sqrt(seek.dot(seek)) > self._slowest_seek:
+                np.divide(seek, max(_largest(seek / self._seek_limit), 1.0), seek)
             np.subtract(task, jacobian.dot(seek), task)
             np.dot(inverse.solve(task), jacobian, wanted)
             np.add(wanted, seek, wanted)
@@ -199,28 +199,30 @@ class PlainCheck:
     def __init__(self, limits: Array, check: Callable[[Array, Array, Array, Array, float], int]) -> None:
         """`check`: the kernel."""
         self._check = check
-        self._limits = list(zip(*limits[:4].tolist(), strict=True))
+        self._limits = list(zip(*limits[:3].tolist(), strict=True))
         self._plain = not bool(np.isfinite(limits[4]).any())
-        self._change = np.empty(limits.shape[1])
+        self._dt, self._steps = 0.0, [0.0] * limits.shape[1]
 
     def __call__(self, memory: Array, limits: Array, q: Array, v: Array, dt: float) -> int:
         """Return 0 and remember the command, or what is wrong with it: see `gate.check`."""
-        last, speed = memory[0], memory[1]
         if not self._plain:
             return self._check(memory, limits, q, v, dt)
-        for place, rate, before, slower, (lower, upper, fastest, hardest) in zip(
-            q.tolist(), v.tolist(), last.tolist(), speed.tolist(), self._limits, strict=True
+        if dt != self._dt:
+            self._dt, self._steps = dt, (limits[3] * dt).tolist()
+        last, speed, acceleration = memory
+        for place, rate, before, slower, step, (lower, upper, fastest) in zip(
+            q.tolist(), v.tolist(), last.tolist(), speed.tolist(), self._steps, self._limits, strict=True
         ):
             # Nothing is left of a place that was made so.
             if not (
                 place == before + rate * dt
                 and -fastest <= rate <= fastest
-                and -hardest * dt <= rate - slower <= hardest * dt
+                and -step <= rate - slower <= step
                 and lower <= place <= upper
             ):
                 return self._check(memory, limits, q, v, dt)
-        np.subtract(v, speed, self._change)
-        np.multiply(self._change, 1.0 / dt, memory[2])
+        np.subtract(v, speed, acceleration)
+        np.multiply(acceleration, 1.0 / dt, acceleration)
         last[:], speed[:] = q, v
         return 0
 
