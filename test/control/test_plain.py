@@ -9,15 +9,25 @@ import sys
 import numpy as np
 import pinocchio as pin
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from ik_controller import Controller, Reference
+from ik_controller.control.bounded import ALONG
 from ik_controller.control.gate import check
-from ik_controller.control.plain import PlainCheck
+from ik_controller.control.kernel import BY_ACCELERATION, BY_VELOCITY, tool_cycle
+from ik_controller.control.law import Law
+from ik_controller.control.limits import JointLimits
+from ik_controller.control.plain import PlainCheck, PlainCycle, near_bound
+from ik_controller.control.reach import LAST
+from ik_controller.control.reach import near_bound as near_bound_by_loops
 from ik_controller.kinematics.accelerate import HAS_NUMBA
 from ik_controller.robots import build_model, bundled_parameters
 
 DT, CYCLES = 1e-3, 150
 # name → (arm, parameters, offset from the start's tool position [m], how it gets there)
+MODELS: dict = {}
+FOUND = set()  # (how, limit, is the path slowed)
 RUNS = {
     "idle": ("panda", {}, (0.05, 0.1, 0.02), "moving"),
     "six joints": ("ur5e", {}, (0.02, 0.05, 0.02), "moving"),
@@ -55,9 +65,56 @@ def commands(name):
     return np.array(rows)
 
 
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    arm=st.sampled_from(["panda", "ur5e"]),
+    slow=st.sampled_from([1.0, 0.3, 0.02]),
+    gentle=st.sampled_from([1.0, 0.1]),
+    away=st.sampled_from([0.0, 1e-5, 1e-3, 0.1, np.nan]),
+    moving=st.sampled_from([0.0, 0.1, 0.9, 1.0]),
+    faster=st.sampled_from([0.0, 1.0, 1.2, 3.0]),
+)
+def one_cycle_is_the_kernels(seed, arm, slow, gentle, away, moving, faster):
+    """From any state towards anything; only where there is no Numba, and so the kernel runs as it is written."""
+    rng, parameters = np.random.default_rng(seed), bundled_parameters(arm)
+    model = MODELS.setdefault(arm, build_model(parameters))
+    n, limits = model.n, JointLimits(model, slow, gentle)
+    law = Law(model, parameters.replace({"velocity_scale": slow, "acceleration_scale": gentle}))
+    lower, upper = np.fmax(model.lower, -3.0), np.fmin(model.upper, 3.0)
+    q = lower + (upper - lower) * (rng.uniform(0.0, 1.0, n) if seed % 4 == 0 else rng.uniform(0.1, 0.9, n))
+    v = rng.uniform(-1.0, 1.0, n)
+    v *= moving * limits.velocity / np.abs(v).max()
+    limits.table[LAST, :n] = moving * limits.acceleration * rng.uniform(-1.0, 1.0, n)
+    state = np.concatenate((q, v, model.jacobian(q) @ v))
+    tool = model.forward(q)
+    rotation = pin.exp3(away * rng.normal(size=3)) @ tool.rotation
+    twist = faster * model.jacobian(q) @ v + (0.01 if seed % 3 == 0 else 0.0) * rng.normal(size=6)
+    results = []
+    for cycle in (PlainCycle(law.chain), tool_cycle):
+        out, detail = np.zeros(2 * n + 12), np.zeros((7, n))
+        found = cycle(
+            law.chain, law.table, limits.table, state, q, tool.translation + away,
+            rotation, twist, np.zeros(6), True, limits.reserve, DT, out, detail,
+        )  # fmt: skip
+        results.append((found, out, detail))
+    (found, out, detail), (expected, out_there, detail_there) = results
+    how, scale, joint, limit, sigma = expected
+    assert (found[0], found[2], found[3]) == (how, joint, limit)
+    np.testing.assert_allclose(found[4], sigma, rtol=0.0, atol=1e-9)
+    if np.isnan(away):
+        return
+    np.testing.assert_allclose(found[1], scale, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(detail, detail_there, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(out[:n], out_there[:n], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(out[n:], out_there[n:], rtol=0.0, atol=1e-7)
+    assert near_bound(q, limits.table) == near_bound_by_loops(q, limits.table)
+    FOUND.add((how, limit, bool(scale < 1.0)))
+
+
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
-    """All runs in a process without Numba."""
+    """All runs in a process without Numba, where single cycles are first held against the kernel's own."""
     file = tmp_path_factory.mktemp("plain") / "runs.npz"
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
     subprocess.run([sys.executable, __file__, str(file)], env=environment, check=True, timeout=300)
@@ -101,4 +158,6 @@ def test_the_quick_look_of_the_gate_finds_what_the_gate_does():
 
 
 if __name__ == "__main__":
+    one_cycle_is_the_kernels()
+    assert {(ALONG, BY_VELOCITY, True), (ALONG, BY_ACCELERATION, True), (ALONG, BY_ACCELERATION, False)} <= FOUND
     np.savez(sys.argv[1], **{name: commands(name) for name in RUNS})
