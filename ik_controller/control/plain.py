@@ -6,6 +6,7 @@ fewer than six directions, other errors) goes through the kernels' own source, a
 velocity may be beyond a limit. Both ways give the same velocities but for rounding; a test holds them together.
 
 What is looked at joint by joint is looked at as Python floats: seven joints cost less so than one reduction of NumPy.
+`a.dot(b, out)` and arrays where a number would do (`_dts`) spare 0.3 µs each, of some thirty in all.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ class PlainCycle:
         self._plain_law = self._fits and tool_is_free(law) and scalars[4] >= 6
         self._gain = np.ascontiguousarray(law[:6, :6])
         fastest, self._posture_gain, _, self._threshold = scalars[:4]
-        self._posture = law[POSTURE, :n].copy()
+        self._posture, self._posture_gains = law[POSTURE, :n].copy(), np.full(n, self._posture_gain)
         self._seek_limit, self._approach_limit = law[SEEK_LIMIT, :n], law[BRAKING, :n] / fastest
         self._slowest_seek, self._slowest_approach = min(self._seek_limit.tolist()), min(self._approach_limit.tolist())
 
@@ -72,16 +73,19 @@ class PlainCycle:
         """Take apart a table of limits: an idle joint is one within the box that always leaves room to stop."""
         n = self._n
         self._table, self._dt, self._last = limits, dt, limits[LAST, :n]
-        self._half = np.array((0.5 * dt, 0.5 * dt * dt))
+        self._half, self._dts = np.array((0.5 * dt, 0.5 * dt * dt)), np.full(n, dt)
         velocity, acceleration = limits[VELOCITY, :n], limits[ACCELERATION, :n]
         even = bool((limits[VELOCITY : ACCELERATION + 1, :n] == limits[VELOCITY : ACCELERATION + 1, n:]).all())
         self._plain_limits = not bool(np.isfinite(limits[JERK]).any()) and even and bool((velocity > 0.0).all())
         with np.errstate(all="ignore"):
             stop = np.tile(velocity * (0.5 * velocity / acceleration + dt), 2)
             room = np.where(np.isfinite(limits[BOUNDS]), limits[BOUNDS] - stop, math.inf)
-        self._path = PlainPath(velocity, acceleration * dt)
+        finite = bool(np.isfinite(limits[VELOCITY : ACCELERATION + 1]).all())
+        self._path = (
+            PlainPath(velocity, acceleration * dt) if self._plain_limits and finite and n <= MOST_JOINTS else None
+        )
         box = velocity, acceleration * dt, -room[n:], room[:n]
-        self._idle = list(zip(*(row.tolist() for row in box), strict=True))
+        self._box = list(zip(*(row.tolist() for row in box), strict=True))
 
     def __call__(
         self,
@@ -117,11 +121,11 @@ class PlainCycle:
         self._angular[:] = pin.log3(rotation.dot(self._rotation))
         motion = self._motion
         motion[0], motion[1] = v, self._last
-        np.dot(self._half, motion, ahead)
+        self._half.dot(motion, ahead)
         np.add(ahead, at, ahead)
         jacobian = pin.computeFrameJacobian(self._pin_model, self._middle, ahead, tool, pin.LOCAL_WORLD_ALIGNED)
 
-        gram = np.dot(jacobian, jacobian.T, self._gram)
+        gram = jacobian.dot(jacobian.T, self._gram)
         smallest = self._spectrum.compute(gram, _VALUES_ALONE).eigenvalues().item(0)
         sigma = math.sqrt(max(smallest, 0.0))
         if not sigma >= 4.0 * self._threshold:  # seldom, and with more to do
@@ -138,57 +142,42 @@ class PlainCycle:
         detail[1:] = jacobian
         wanted = detail[0]
         if not self._posture_gain:
-            np.dot(inverse.solve(task), jacobian, wanted)
+            inverse.solve(task).dot(jacobian, wanted)
         else:
             seek = self._seek
             np.subtract(self._posture, at, seek)
-            np.multiply(seek, self._posture_gain, seek)
+            np.multiply(seek, self._posture_gains, seek)
             if math.sqrt(seek.dot(seek)) > self._slowest_seek:
                 np.divide(seek, max(_largest(seek / self._seek_limit), 1.0), seek)
             np.subtract(task, jacobian.dot(seek), task)
-            np.dot(inverse.solve(task), jacobian, wanted)
+            inverse.solve(task).dot(jacobian, wanted)
             np.add(wanted, seek, wanted)
 
         out[2 * n + 6 :] = self._e
-        q = state[:n]
-        for velocity, before, place, (speed, step, low, high) in zip(
-            wanted.tolist(), v.tolist(), q.tolist(), self._idle, strict=True
-        ):
-            # Written so that what is not finite fails.
-            if not (-speed < velocity < speed and -step < velocity - before < step and low < place < high):
-                how, scale, joint, limit = self._bounded(wanted, jacobian, limits, state, reserve, dt, out)
-                return how, scale, joint, limit, sigma
-        np.multiply(wanted, dt, ahead)
+        q, velocity, scale, joint, limit = state[:n], wanted, 1.0, -1, FREE
+        places, rates = q.tolist(), v.tolist()
+        if not self._idle(wanted.tolist(), rates, places):
+            found = None
+            if self._path is not None and math.isfinite(wanted.dot(wanted)) and self._idle(rates, rates, places):
+                found = self._path.velocity(wanted, v, jacobian, state[2 * n : 2 * n + 6])
+            if found is None:
+                return *bounded_cycle(wanted, jacobian, limits, state, reserve, True, dt, out), sigma
+            velocity, scale, joint, limit = found
+        np.multiply(velocity, self._dts, ahead)
         np.add(q, ahead, out[:n])
-        out[n : 2 * n] = wanted
-        np.dot(jacobian, wanted, out[2 * n : 2 * n + 6])
-        return ALONG, 1.0, -1, FREE, sigma
-
-    def _bounded(
-        self, wanted: Array, jacobian: Array, limits: Array, state: Array, reserve: bool, dt: float, out: Array
-    ) -> tuple[int, float, int, int]:
-        """`kernel.bounded_cycle` away from singularities: on floats, where no joint is near its bounds and the tool's
-        direction can be held.
-        """
-        n, path = self._n, self._path
-        v, tool = state[n : 2 * n], state[2 * n : 2 * n + 6]
-        found = None
-        if n <= MOST_JOINTS and math.isfinite(wanted.dot(wanted)) and self._has_room(state[:n].tolist(), v.tolist()):
-            found = path.velocity(wanted, v, jacobian, tool)
-        if found is None:
-            return bounded_cycle(wanted, jacobian, limits, state, reserve, True, dt, out)
-        velocity, scale, joint, limit = found
-        np.add(state[:n], velocity * dt, out[:n])
         out[n : 2 * n] = velocity
-        np.dot(jacobian, velocity, out[2 * n : 2 * n + 6])
-        return ALONG, scale, joint, limit
+        jacobian.dot(velocity, out[2 * n : 2 * n + 6])
+        return ALONG, scale, joint, limit, sigma
 
-    def _has_room(self, q: list[float], v: list[float]) -> bool:
-        """Tell whether every joint may have its full speed in both directions."""
-        return all(
-            low < place < high and abs(velocity) <= speed
-            for place, velocity, (speed, _, low, high) in zip(q, v, self._idle, strict=True)
-        )
+    def _idle(self, wanted: list[float], v: list[float], q: list[float]) -> bool:
+        """Tell whether no joint at q is held back from its `wanted` velocity after v, (n,) each, nor would be by its
+        bounds from any other within its limits.
+        """
+        for velocity, before, place, (speed, step, low, high) in zip(wanted, v, q, self._box, strict=True):
+            # Written so that what is not finite fails.
+            if not (-speed <= velocity <= speed and -step <= velocity - before <= step and low < place < high):
+                return False
+        return True
 
 
 class PlainCheck:
@@ -201,14 +190,15 @@ class PlainCheck:
         self._check = check
         self._limits = list(zip(*limits[:3].tolist(), strict=True))
         self._plain = not bool(np.isfinite(limits[4]).any())
-        self._dt, self._steps = 0.0, [0.0] * limits.shape[1]
+        self._dt = 0.0
+        self._steps, self._rates = [0.0] * limits.shape[1], np.zeros(limits.shape[1])
 
     def __call__(self, memory: Array, limits: Array, q: Array, v: Array, dt: float) -> int:
         """Return 0 and remember the command, or what is wrong with it: see `gate.check`."""
         if not self._plain:
             return self._check(memory, limits, q, v, dt)
         if dt != self._dt:
-            self._dt, self._steps = dt, (limits[3] * dt).tolist()
+            self._dt, self._steps, self._rates = dt, (limits[3] * dt).tolist(), np.full(q.shape, 1.0 / dt)
         last, speed, acceleration = memory
         for place, rate, before, slower, step, (lower, upper, fastest) in zip(
             q.tolist(), v.tolist(), last.tolist(), speed.tolist(), self._steps, self._limits, strict=True
@@ -222,7 +212,7 @@ class PlainCheck:
             ):
                 return self._check(memory, limits, q, v, dt)
         np.subtract(v, speed, acceleration)
-        np.multiply(acceleration, 1.0 / dt, acceleration)
+        np.multiply(acceleration, self._rates, acceleration)
         last[:], speed[:] = q, v
         return 0
 

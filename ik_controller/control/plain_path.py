@@ -34,9 +34,10 @@ class PlainPath:
         """`limit` (n,): the velocity limits; `step` (n,): by how much a velocity may change in a cycle."""
         n = limit.shape[0]
         self._limit, self._shares = limit, 1.0 / limit
-        self._steps: Floats = (step / limit).tolist()
         self._cholesky = eigenpy.LLT(6)
-        self._both = np.empty((2, n))  # y_wanted and the last y
+        self._step, self._one = step / limit, np.ones(n)
+        self._steps: Floats = self._step.tolist()
+        self._both, self._reach = np.empty((2, n)), np.empty((2, n))  # y_wanted and the last y; bounds, lower and upper
         # Of the program in (√W (most − s), z): a row for each joint, and one for s itself.
         self._rows, self._ends = np.zeros((n + 1, 2)), np.empty((2, n + 1))
         self._rows[n, 0] = 1.0 / _OMEGA
@@ -46,12 +47,12 @@ class PlainPath:
         """Return (q̇ (n,), s, joint, limit) nearest to `wanted` (n,) after `v` (n,), `last` ẋ_last (6,); None where it
         does not lie on the path. J (6, n) of full rank.
         """
-        both = self._both
-        np.multiply(wanted, self._shares, both[0])
-        np.multiply(v, self._shares, both[1])
-        aim, speeds = both.tolist()
-        low = [max(speed - step, -1.0) for speed, step in zip(speeds, self._steps, strict=True)]
-        high = [min(speed + step, 1.0) for speed, step in zip(speeds, self._steps, strict=True)]
+        (goal, start), (lower, upper) = self._both, self._reach
+        np.multiply(wanted, self._shares, goal)
+        np.multiply(v, self._shares, start)
+        np.maximum(start - self._step, -self._one, lower)
+        np.minimum(start + self._step, self._one, upper)
+        (aim, speeds), (low, high) = self._both.tolist(), self._reach.tolist()
         joint, limit = self._held(aim, low, high, speeds)
         if joint < 0:
             return wanted, 1.0, joint, limit
@@ -60,7 +61,7 @@ class PlainPath:
         scale, z = 1.0, nearest_null(aim, null, low, high)
         if z is None:
             most = self._most(aim, speeds, moving, before.tolist())
-            found = self._slowed(aim, null, low, high, most)
+            found = self._slowed(aim, null, most)
             if found is None:
                 return None
             scale, z = found
@@ -97,12 +98,18 @@ class PlainPath:
         last = sum(map(mul, part, before)) / square
         least, ease, hardest, curve = -math.inf, 1.0, math.inf, 0.0
         for goal, own, start, change, step in zip(aim, part, before, turn, self._steps, strict=True):
-            size, start = abs(goal), start + last * (goal - own)
-            if size > 0.0:
-                start = math.copysign(1.0, goal) * start
-                least, ease = max(least, (start - step) / size), min(ease, (start + step) / size)
-                hardest = min(hardest, step / size)
-            curve = max(curve, abs(change) / step)
+            start += last * (goal - own)
+            if goal != 0.0:
+                middle, room = start / goal, step / abs(goal)
+                # max and min would cost three times as much
+                if middle - room > least:
+                    least = middle - room
+                if middle + room < ease:
+                    ease = middle + room
+                if room < hardest:
+                    hardest = room
+            if abs(change) > curve * step:
+                curve = abs(change) / step
         if not (least <= ease and ease > 0.0):
             ease = 1.0
         if not last > 0.0:
@@ -115,15 +122,14 @@ class PlainPath:
         ahead = max(fastest, last - _SLOWING_SHARE * hardest)
         return min(ease, ahead) if ahead > 0.0 else ease
 
-    def _slowed(self, aim: Floats, null: Floats, low: Floats, high: Floats, most: float) -> tuple[float, float] | None:
+    def _slowed(self, aim: Floats, null: Floats, most: float) -> tuple[float, float] | None:
         """Return (s, z) within the bounds, 0 ≤ s ≤ 1, where W (`most` − s)² + z² is smallest; None for none."""
         rows, ends, (identity, zero, sense) = self._rows, self._ends, self._fixed
         goal = self._both[0]
         np.multiply(goal, -1.0 / _OMEGA, rows[:-1, 0])
         rows[:-1, 1] = null
-        ends[0] = *low, most - 1.0
-        ends[1] = *high, most
-        ends[:, :-1] -= most * goal
+        np.subtract(self._reach, most * goal, ends[:, :-1])
+        ends[0, -1], ends[1, -1] = most - 1.0, most
         tolerance = _TOLERANCE * max(1.0, max(aim), -min(aim))
         x, _, flag, _ = daqp.solve(identity, zero, rows, ends[1], ends[0], sense, primal_tol=tolerance)
         if flag != _SOLVED:
@@ -157,5 +163,12 @@ def nearest_null(aim: Floats, null: Floats, low: Floats, high: Floats) -> float 
                 return None
             continue
         one, other = (lower - goal) / idle, (upper - goal) / idle
-        least, most = max(least, min(one, other)), min(most, max(one, other))
-    return min(max(0.0, least), most) if least <= most else None
+        if idle < 0.0:
+            one, other = other, one
+        if one > least:
+            least = one
+        if other < most:
+            most = other
+        if least > most:
+            return None
+    return min(max(0.0, least), most)
