@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ik_controller.control.ahead import Ahead
 from ik_controller.control.controller import Controller, Step
 from ik_controller.control.goal import Goal
 from ik_controller.control.obstacles import Scene
@@ -100,6 +101,7 @@ class Session:
         self._running = False
         self._restarting = False  # brakes to rest before it starts anew
         self._rest_since: int | None = None  # when a restarting arm's commands came to rest [ns]
+        self._ahead: Ahead | None = None  # cycles that are worked out
         self._set_times()
 
     def _set_times(self) -> None:
@@ -124,6 +126,8 @@ class Session:
                         f"none of the joints {choices(self.model.joint_names)}; the message has: {names}"
                     )
             else:
+                if self._ahead is not None:
+                    self.settle()
                 self._inputs.take(role, data, arrival, self.controller.position, self.controller.velocity)
                 if role in ("target_trajectory", "target_joint_trajectory"):
                     self.goal.begin()
@@ -157,6 +161,7 @@ class Session:
             content = None
         if not isinstance(content, dict):
             raise IkControllerError(f"not an event: {event[:60]!r}; need a JSON object with the key 'do'")
+        self.settle()
         do = content.get("do")
         if do == "pause":
             self.paused = True
@@ -204,6 +209,7 @@ class Session:
 
     def set_parameters(self, parameters: ControllerParameters) -> None:
         """Take new parameters between two cycles. Raises ParameterError; nothing changes then."""
+        self.settle()
         model = with_tool(self.model, self.parameters, parameters)
         self.controller.set_parameters(parameters, model)
         self.targets.set_parameters(parameters)
@@ -225,8 +231,38 @@ class Session:
 
     # -- one cycle
 
+    def expect(self, times: list[int]) -> None:
+        """Know that cycles follow at these times [ns], and that until then nothing arrives but joint states: then they
+        can be worked out together, and run by `passes`.
+        """
+        self.settle()
+        if self._running and not (self.paused or self._restarting or self.goal.under_way):
+            course = self.targets.course(times)
+            if course is not None:
+                self._ahead = self.controller.ahead(course, self.dt)
+
+    def passes(self, now: int) -> bool:
+        """Run the cycle that starts at `now` [ns] if it is the next one of those worked out; tell whether it is."""
+        ahead, arrival = self._ahead, self.feedback_arrival
+        if ahead is None or arrival is None or now - arrival > self._feedback_timeout or not ahead.next_is(now):
+            return False
+        ahead.taken += 1
+        return True
+
+    def settle(self) -> tuple[Array, Array, Array]:
+        """Go on after the cycles that passed; return their positions (k, n), velocities (k, n) and errors (k, 6)."""
+        ahead, self._ahead = self._ahead, None
+        n = self.model.n
+        states = np.empty((0, 2 * n + 12)) if ahead is None else ahead.states[1 : ahead.taken + 1]
+        if ahead is not None and ahead.taken:
+            self.status = self.controller.take(ahead)
+            self.reference = ahead.reference()
+        return states[:, :n], states[:, n : 2 * n], states[:, 2 * n + 6 :]
+
     def cycle(self, now: int) -> Step | None:
         """Run the cycle that starts at `now` [ns]; return its Step, None where nothing is to be commanded."""
+        if self._ahead is not None:
+            self.settle()
         arrival = self.feedback_arrival
         fresh = arrival is not None and now - arrival <= self._feedback_timeout
         measured = self._measured if fresh else None
@@ -271,9 +307,9 @@ class Session:
         v, w = reference.twist[:3], reference.twist[3:]
         return Reference(twist=np.concatenate((v + np.cross(w, lever), w)))
 
-    def warm_up(self) -> None:
+    def warm_up(self, *, together: bool = False) -> None:
         """Go once through every kind of cycle in scratch sessions: what compiles or is worked out on first use is done
-        before the first deadline, and this session is left as it is.
+        before the first deadline, and this session is left as it is. `together`: those of `expect` too.
         """
         rest = np.clip(self.model.middle() + 0.1, self.model.lower, self.model.upper)
         at_bounds = np.where(np.isfinite(self.model.upper), self.model.upper, rest)
@@ -284,9 +320,9 @@ class Session:
         }
         for changes in ({}, _IN_STACK, {**_BOUNDED, **_BY_NAME}, {**_BOUNDED, **_IN_STACK, **second}):
             for q in (rest, at_bounds):
-                self._rehearse(self.parameters.replace({"mode": "auto", **changes}), q)
+                self._rehearse(self.parameters.replace({"mode": "auto", **changes}), q, together)
 
-    def _rehearse(self, parameters: ControllerParameters, q: Array) -> None:
+    def _rehearse(self, parameters: ControllerParameters, q: Array, together: bool) -> None:
         """Follow every kind of target in a scratch session whose arm is at q (n,), brake, pause and fault."""
         model = self.model
         scratch = Session(model, parameters, self.controller.scene.copy())
@@ -305,6 +341,8 @@ class Session:
         for role, data in targets:
             scratch.take("joint_states", state, now)
             scratch.take(role, data, now)
+            if together:
+                scratch.expect([now])
             for _ in range(3):
                 scratch.cycle(now)
                 now += self.period

@@ -30,6 +30,31 @@ def bundled(name: str) -> Robot:
     return Robot(build_model(parameters), parameters.replace({"posture": ()}), np.array(parameters.posture))
 
 
+# rad/s³, as libfranka states them; soft ones, of which a ramp takes a tenth of a second; and joints without one.
+JERKS = {
+    "panda jerk": [7500, 3750, 5000, 6250, 7500, 10000, 10000],
+    "ur5e jerk": [60, 60, math.inf, 100, 1e5, 80],
+    "scara jerk": [40, 300, 20, math.inf],
+}
+
+
+@functools.cache
+def arm(name: str) -> Robot:
+    """A bundled robot, or a small arm: prismatic joints, fewer joints than the task has rows."""
+    if name in ("panda", "ur5e"):
+        return bundled(name)
+    if name.endswith(" jerk"):
+        plain = arm(name.removesuffix(" jerk"))
+        model = RobotModel.from_urdf(plain.model.urdf_text, plain.model.tip_frame, plain.model.base_frame)
+        limits = plain.model.velocity_limit, plain.model.acceleration_limit
+        model.set_limits(velocity=limits[0], acceleration=limits[1], jerk=JERKS[name])
+        return Robot(model, plain.parameters, plain.home)
+    import arms  # beside the tests of kinematics
+
+    model = RobotModel.from_urdf(getattr(arms, name)(), "tool")
+    return Robot(model, ControllerParameters(), model.middle() + 0.1)
+
+
 def figure_eight(home: Any, t: float) -> Any:
     """Return the pose at t [s] of a figure-eight, 0.15 m to each side of `home`, with changing orientation."""
     w = 2.0 * math.pi / PERIOD

@@ -44,9 +44,6 @@ def compiled() -> dict[str, int]:
     return {f"{item.__module__}.{item.__qualname__}": len(item.nopython_signatures) for item in found}
 
 
-WATCHED = {"self_collision": True, "obstacle_avoidance": True}
-
-
 SETTINGS: list[dict[str, Any]] = [{}, {"jerk_limits": JERK}, {"self_collision": True, "obstacle_avoidance": True}]
 
 
@@ -55,7 +52,7 @@ def run(settings: dict[str, Any]) -> set[str]:
     robot = bundled("panda")
     model, home = robot.model, robot.home
     session = Session(model, robot.parameters.replace({"rate": 250.0, **settings}))
-    session.warm_up()
+    session.warm_up(together=True)
     before = compiled()
     arm, writer, random = SimulatedArm(home, lag=0.02), JointStateWriter(model.joint_names), np.random.default_rng(1)
     if session.controller.scene.world_watched:
@@ -76,6 +73,7 @@ def run(settings: dict[str, Any]) -> set[str]:
         else:
             q = home + random.uniform(-1.0, 1.0, model.n) if kind == 3 else np.array([0, -1.5, 0, -3.05, 0, 0, 0])
             session.take("target_joints", wire.joints(model.joint_names, q, (), now), now)
+        session.expect([now])  # as a replay does
         step = session.cycle(now)
         assert step is not None
         arm.command(step.position)

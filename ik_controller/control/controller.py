@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ik_controller.control.ahead import Ahead, Course, cycles_ahead, rests_away
 from ik_controller.control.bounded import CLOSEST
 from ik_controller.control.closest import slide
 from ik_controller.control.gate import Gate
@@ -35,13 +36,13 @@ from ik_controller.control.stack import stack_cycle
 from ik_controller.control.status import LIMITS, Code, Limit, Status, followed
 from ik_controller.control.tasks import TaskStack
 from ik_controller.errors import ArgumentError, ParameterError, choices
+from ik_controller.kinematics.accelerate import HAS_NUMBA
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.parameters import ControllerParameters, gain_matrix
 
 Array = NDArray[np.float64]
 
 _ZERO = np.zeros(6)
-_REST, _AWAY = 1e-3, 1e-6  # at rest: a share of the speed limits; away: an error of the tool [m, rad]
 _NO_POSE = np.zeros(3), np.eye(3)
 
 
@@ -171,6 +172,31 @@ class Controller:
         self._keep(np.concatenate((*self._gate.braking(dt), _ZERO)))
         return Step(self._q, self._v, np.zeros(6), Status(Code.FAULT, reason=self.fault))
 
+    def ahead(self, course: Course, dt: float) -> Ahead | None:
+        """Return the next cycles along a course, dt [s] each, for `take`: as many as nothing but the law has a say in;
+        None where that may be so in all of them.
+        """
+        law, n, count = self._law, self._n, course.ahead.size
+        plain = law.in_kernel and law.stack is None and self.parameters.integration_base == "commanded"
+        ready = self._started and not (self._fresh or self._outside or self.fault) and dt == self._checked_dt
+        if not (HAS_NUMBA and plain and ready) or self._obstacles.watching:
+            return None
+        states, memories = np.empty((count + 1, 2 * n + 12)), np.empty((count + 1, 3, n))
+        states[0, : 2 * n + 6], memories[0] = self._state[: 2 * n + 6], self._gate.memory
+        poses, twists, outcomes = np.empty((count, 4, 3)), np.empty((count, 6)), np.empty((count, 5))
+        done = cycles_ahead(
+            law.chain, law.table, self._limits.table, self._gate.limits, self._limits.velocity, course[:5],
+            law.feed_forward, self._limits.reserve, dt, states, memories, poses, twists, outcomes,
+        )  # fmt: skip
+        return Ahead(course.times, states, memories, poses, twists, outcomes[:done].tolist()) if done else None
+
+    def take(self, ahead: Ahead) -> Status:
+        """Go on after the cycles that have been run of those worked out ahead; return the last one's status."""
+        how, scale, joint, limit, sigma = ahead.outcomes[ahead.taken - 1]
+        self._keep(ahead.states[ahead.taken])
+        self._gate.memory = ahead.memories[ahead.taken]
+        return followed(scale, LIMITS[int(limit)], int(joint), sigma < self._law.threshold, sigma, how != CLOSEST)
+
     def halt(self, reason: str) -> None:
         """Latch a fault that was found outside: from the next step on the arm brakes and holds."""
         self.fault = reason
@@ -284,13 +310,9 @@ class Controller:
             return self._pass_by(wanted, task, dt, out[2 * n + 6 :], status)
         self._keep(out)
         may_rest = status.damped or not status.feasible or self._law.directions < 6
-        if has_pose and may_rest and self._rests_away(out[2 * n + 6 :]):
+        if has_pose and may_rest and rests_away(self._v, out[2 * n + 6 :], self._limits.velocity):
             status = status._replace(closest=True)
         return Step(self._q, self._v, out[2 * n + 6 :], status)
-
-    def _rests_away(self, error: Array) -> bool:
-        """Tell whether the arm is as good as at rest while there is an error (6,) that it would follow if it could."""
-        return bool((np.abs(self._v) <= _REST * self._limits.velocity).all() and np.abs(error).max() > _AWAY)
 
     def explain(self, status: Status) -> Status:
         """Return the last step's status with what takes too long to work out in every cycle: condition number, singular

@@ -39,14 +39,15 @@ _REASONS = (
 class Gate:
     """Re-checks commands; `passes` for each one, `braking` for what to command where one did not.
 
-    `memory` (3, n): position, velocity and acceleration of the last command that passed.
+    `memory` (3, n): position, velocity and acceleration of the last command that passed; `limits` (5, n): lower and
+    upper bounds, velocity, acceleration and jerk.
     """
 
     def __init__(self, model: RobotModel) -> None:
-        self._limits = np.array(
+        self.limits = np.array(
             [model.lower, model.upper, model.velocity_limit, model.acceleration_limit, model.jerk_limit]
         )
-        self._check = check if HAS_NUMBA else PlainCheck(self._limits, check)
+        self._check = check if HAS_NUMBA else PlainCheck(self.limits, check)
         self._names = model.joint_names
         self.memory = np.zeros((3, model.n))
 
@@ -65,7 +66,7 @@ class Gate:
         """Return "" where a command (n,), (n,), dt [s] after the last one, is fit to publish, and remember it; else why
         it is not.
         """
-        verdict = self._check(self.memory, self._limits, q, v, dt)
+        verdict = self._check(self.memory, self.limits, q, v, dt)
         if verdict == _PASSED:
             return ""
         joint, reason = divmod(verdict, len(_REASONS))
@@ -75,8 +76,8 @@ class Gate:
         """Return the command (position (n,), velocity (n,)) that brakes each joint as hard as its limits allow; where
         even that is unfit, the last position, at rest.
         """
-        q, v = brake(self.memory, self._limits, dt)
-        if check(self.memory, self._limits, q, v, dt) != _PASSED:
+        q, v = brake(self.memory, self.limits, dt)
+        if check(self.memory, self.limits, q, v, dt) != _PASSED:
             self.start(self.memory[0].copy())
             return self.memory[0].copy(), np.zeros_like(v)
         return q, v

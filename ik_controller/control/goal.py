@@ -17,15 +17,17 @@ Array = NDArray[np.float64]
 
 
 class Goal:
-    """Watches the trajectory of `Targets`; `outcome`: "", "under way", "reached: …", "missed: …" or "abandoned"."""
+    """Watches the trajectory of `Targets`; `outcome`: "", "under way", "reached: …", "missed: …" or "abandoned"; is it
+    `under_way`?
+    """
 
     def __init__(self) -> None:
         self.outcome = ""
-        self._pending = False
+        self.under_way = False
 
     def begin(self) -> None:
         """A trajectory was taken."""
-        self.outcome, self._pending = "under way", True
+        self.outcome, self.under_way = "under way", True
 
     def watch(
         self, now: int, targets: Targets, measured: Array | None, model: RobotModel, parameters: ControllerParameters
@@ -33,11 +35,11 @@ class Goal:
         """Look at the measured joints (n,) at the cycle `now` [ns]; before the trajectory's end there is nothing to
         see.
         """
-        if not self._pending:
+        if not self.under_way:
             return
         end = targets.trajectory_end()
         if end is None:
-            self.outcome, self._pending = "abandoned", False
+            self.outcome, self.under_way = "abandoned", False
             return
         time, target = end
         if now < time or measured is None:
@@ -54,15 +56,15 @@ class Goal:
             reached = away.item(joint) <= parameters.goal_joint_tolerance
             off = f"'{model.joint_names[joint]}' {away.item(joint):.3g} away"
         if reached:
-            self.outcome, self._pending = f"reached: {off}", False
+            self.outcome, self.under_way = f"reached: {off}", False
         elif now - time >= parameters.goal_time * 1e9:
             late = "" if math.isclose(parameters.goal_time, 0.0) else f" after {parameters.goal_time:g} s"
-            self.outcome, self._pending = f"missed: {off}{late}", False
+            self.outcome, self.under_way = f"missed: {off}{late}", False
 
     def state(self) -> list[Any]:
         """Return all as JSON types, for `restore`."""
-        return [self.outcome, self._pending]
+        return [self.outcome, self.under_way]
 
     def restore(self, state: list[Any]) -> None:
         """Take a state of `state`."""
-        self.outcome, self._pending = str(state[0]), bool(state[1])
+        self.outcome, self.under_way = str(state[0]), bool(state[1])

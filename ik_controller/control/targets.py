@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from ik_controller.control.ahead import Course
 from ik_controller.control.extrapolation import agreed_rate, carry_on
 from ik_controller.control.joint_path import JointPath
 from ik_controller.control.reference import Reference
@@ -312,6 +313,23 @@ class Targets:
         if self._twists and now - self._twist_arrival <= self._timeout and self._mode != "pose":
             return Reference(twist=self._twists[-1][2], about=self._twists[-1][3])
         return None
+
+    def course(self, times: list[int]) -> Course | None:
+        """Return how a pose stream goes on at cycles that begin at these times [ns], rising, as far as it is live; None
+        where something else is followed.
+        """
+        until = self._pose_arrival + self._timeout
+        times = times[: bisect.bisect_right(times, until)]
+        elsewhere = self._trajectory or self._path is not None or self._joints is not None or self._jog is not None
+        if elsewhere or not times or not self._samples or times[0] - self._delay < self._times[-1]:
+            return None
+        sample = self._samples[-1]
+        twist = self._twist_of(sample)
+        if twist is None:
+            return None
+        rate = _NO_CHANGE if self._acceleration is None else self._acceleration
+        ahead = np.array([(time - self._delay - sample.time) * 1e-9 for time in times])
+        return Course(sample.position, sample.rotation, twist, rate, ahead, times)
 
     def _pose_reference(self, time: int, dt: float) -> Reference:
         index = bisect.bisect_right(self._times, time)

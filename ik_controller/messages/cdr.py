@@ -270,10 +270,10 @@ class JointStateWriter:
             buffer[self._velocity : self._velocity + size] = velocity.tobytes()
         return bytes(buffer)
 
-    def wrote(
-        self, messages: Sequence[bytes], stamps: Sequence[int], positions: Sequence[Array], velocities: Sequence[Array]
-    ) -> bool:
-        """Tell whether the messages are what `write` returns for the stamps, positions and velocities, to the bit."""
+    def wrote(self, messages: Sequence[bytes], stamps: Sequence[int], positions: Array, velocities: Array) -> bool:
+        """Tell whether messages (k) are what `write` returns for the stamps, positions (k, n) and velocities, to the
+        bit.
+        """
         size = len(self._buffer)
         if any(len(data) != size for data in messages):
             return False
@@ -283,8 +283,7 @@ class JointStateWriter:
         written[:, 4:8] = seconds.astype("<i4")[:, None].view(np.uint8)
         written[:, 8:12] = nanoseconds.astype("<u4")[:, None].view(np.uint8)
         for at, values in ((self._position, positions), (self._velocity, velocities)):
-            numbers = np.concatenate(values).astype(_NUMBER, copy=False)
-            written[:, at : at + self._size] = numbers.reshape(len(rows), -1).view(np.uint8)
+            written[:, at : at + self._size] = values.astype(_NUMBER, copy=False).view(np.uint8)
         return rows.tobytes() == written.tobytes()
 
     def positions(self, data: bytes) -> Array:

@@ -19,8 +19,8 @@ from ik_controller.control.status import Code, Limit
 from ik_controller.errors import BagError, choices
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.messages import cdr
+from ik_controller.recording.cycles import cycles, session_of
 from ik_controller.recording.reader import BagReader
-from ik_controller.recording.replay import cycles, session_of
 from ik_controller.recording.statistics import ErrorStatistics
 from ik_controller.session import Session
 

@@ -8,35 +8,34 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from ik_controller.control.controller import Step
-from ik_controller.control.obstacles import SCENE_PARAMETERS, Scene
 from ik_controller.control.status import Code
-from ik_controller.errors import BagError, IkControllerError, ParameterError
+from ik_controller.errors import BagError, IkControllerError
 from ik_controller.messages import cdr
 from ik_controller.messages.commands import CommandWriter
-from ik_controller.messages.inputs import INPUTS
 from ik_controller.parameters import ControllerParameters
+from ik_controller.recording.cycles import Cycle, Stretch, cycles, session_of, stretches
 from ik_controller.recording.provenance import code, digest, software
 from ik_controller.recording.reader import BagReader
 from ik_controller.recording.run import RunInfo, RunWriter
 from ik_controller.recording.statistics import ErrorStatistics
 from ik_controller.recording.target_bag import TargetOptions
-from ik_controller.robots import build_model, urdf_text
+from ik_controller.robots import urdf_text
 from ik_controller.session import Session
 
 Array = NDArray[np.float64]
 
-_NEEDED = (*INPUTS, "events", "joint_commands", "command_output", "cycle")
 _BLOCK = 256  # cycles whose commands are compared at a stretch
 
 
@@ -105,68 +104,6 @@ def _then_and_now(pairs: Mapping[str, tuple[Any, Any] | None]) -> dict[str, Any]
     return {name: None if pair is None else {"then": pair[0], "now": pair[1]} for name, pair in pairs.items()}
 
 
-class Cycle(NamedTuple):
-    """One replayed cycle: its record, the Step (None where nothing was commanded) and the recorded command's bytes."""
-
-    number: int
-    time: int
-    late: int
-    work: int
-    step: Step | None
-    recorded: bytes | None
-    sent: bytes | None = None  # the command as sent, where that was not a JointState
-
-
-def session_of(bag: BagReader, changes: Mapping[str, Any]) -> tuple[Session, RunInfo]:
-    """Return a session as the bag's run began, with `changes` to its parameters. Raises BagError for a foreign bag."""
-    info = RunInfo.of(bag)
-    if info is None:
-        raise BagError(f"bag '{bag.path}' holds no run of ik_controller")
-    parameters = info.parameters.replace(changes)
-    if parameters.rate != info.parameters.rate:
-        raise ParameterError(
-            f"rate = {parameters.rate:g}: a recorded run is replayed at its own, {info.parameters.rate:g} Hz"
-        )
-    # What may not touch is in the recorded state, and its files may be elsewhere; a what-if run may name others.
-    scene = None if set(changes) & set(SCENE_PARAMETERS) else Scene()
-    return Session(build_model(parameters, info.urdf), parameters, scene), info
-
-
-def cycles(
-    bag: BagReader, session: Session, info: RunInfo, changes: Mapping[str, Any], output: RunWriter | None = None
-) -> Iterator[Cycle]:
-    """Run the recorded run through `session` and yield cycle by cycle; `changes` stay in force whatever was
-    recorded.
-    """
-    role_of = {topic: role for role, topic in info.topics.items() if role in _NEEDED}
-    present = {topic.name for topic in bag.topics}
-    recorded: bytes | None = None
-    sent: bytes | None = None
-    new, decode_cycle, take, run = tuple.__new__, cdr.decode_cycle, session.take, session.cycle
-    for topic, now, data, _ in bag.messages([name for name in role_of if name in present]):
-        role = role_of[topic]
-        if role == "cycle":
-            index, at, _, late, work, _ = decode_cycle(data)
-            # NamedTuple's own constructor takes twice as long
-            yield new(Cycle, (index, at, late, work, run(at), recorded, sent))
-            recorded = sent = None
-        elif role == "joint_commands":
-            recorded = data
-        elif role == "command_output":
-            sent = data
-        elif role == "events":
-            event = str(cdr.decode(cdr.STRING, data).data)
-            session.apply(event)
-            if changes:
-                session.set_parameters(session.parameters.replace(changes))
-            if output is not None:
-                output.event(now, event)
-        else:
-            take(role, data, now)
-            if output is not None:
-                output.write(role, now, data)
-
-
 def replay(
     bag: BagReader,
     *,
@@ -199,30 +136,42 @@ def replay(
         writer = RunWriter(output, session, info.topics, patient=True)
     encode = cdr.JointStateWriter(session.model.joint_names)
     other = other_output(session)
-    comparison = _Comparison(result, encode, other)
+    comparison = _Comparison(result, encode, other, session.period)
     first = last = 0
     before: Array | None = None
-    tracking = Code.TRACKING
-    session.warm_up()
+    tracking, period = Code.TRACKING, session.period
+    session.warm_up(together=True)
     gc.collect()
     gc.freeze()  # what is there by now need not be looked through again and again while cycles pass
     begin = time.perf_counter()
-    passing = cycles(bag, session, info, changed, writer)
-    for cycle in passing if watch is None else watch(passing, session):
+    passing: Iterator[Cycle | Stretch]
+    if writer is None and watch is None:
+        passing = stretches(bag, session, info, changed)
+    else:
+        each = cycles(bag, session, info, changed, writer)
+        passing = each if watch is None else watch(each, session)
+    for cycle in passing:
+        if isinstance(cycle, Stretch):
+            last = cycle.records[-1][1]
+            result.cycles += len(cycle.records)
+            result.missed += sum(record[3] > period for record in cycle.records)
+            comparison.add_stretch(cycle)
+            result.errors.add(cycle.error)
+            before = cycle.position[-1]
+            continue
         number, last, late, work, step, recorded, _ = cycle
-        first = first or last
+        if result.cycles == 0:
+            first = comparison.first = last
         result.cycles += 1
-        if late > session.period:
-            result.missed += 1
-        stamp = last + session.period
+        result.missed += late > period
         if step is not None or recorded is not None:
-            comparison.add(cycle, stamp, last - first)
+            comparison.add(cycle)
         if step is not None and step.status.code is tracking:
             result.errors.add(tracking_error(session, step, before))
         before = None if step is None else step.position
         if writer is not None:
             if step is not None:
-                writer.write("joint_commands", last, encode.write(stamp, step.position, step.velocity))
+                writer.write("joint_commands", last, encode.write(last + period, step.position, step.velocity))
                 if other is not None:
                     writer.write("command_output", last, other.write(step.position, step.velocity))
             writer.cycle(number, last, int(session.status.code), late, work, int(step is not None))
@@ -280,57 +229,88 @@ def _note_provenance(result: Replay, info: RunInfo, session: Session) -> None:
 
 class _Comparison:
     """Compares commands bit for bit, a block of cycles at a time: one that is the same as a whole needs no closer
-    look.
+    look. `first`: when the run began [ns].
     """
 
-    def __init__(self, result: Replay, encode: cdr.JointStateWriter, other: CommandWriter | None) -> None:
+    def __init__(self, result: Replay, encode: cdr.JointStateWriter, other: CommandWriter | None, period: int) -> None:
+        """`period`: how long after a cycle's start [ns] its command is stamped."""
         self._result = result
         self._encode = encode
         self._other = other
-        self._waiting: list[tuple[Cycle, int, int]] = []
+        self._period = period
+        self.first = 0
+        self._begin()
 
-    def add(self, cycle: Cycle, stamp: int, since: int) -> None:
-        """Take a cycle with a command, recorded or replayed: the command's stamp, the time since the run's start
-        [ns].
-        """
-        self._waiting.append((cycle, stamp, since))
-        if len(self._waiting) == _BLOCK:
+    def _begin(self) -> None:
+        self._cycles: list[tuple[int, int]] = []  # number and time [ns]
+        self._recorded: list[bytes | None] = []
+        self._sent: list[bytes | None] = []
+        self._positions: list[Array] = []  # one cycle behind the other
+        self._velocities: list[Array] = []
+
+    def add(self, cycle: Cycle) -> None:
+        """Take a cycle with a command, recorded or replayed."""
+        if cycle.step is None or cycle.recorded is None:
+            self.look()
+            self._result.commands += 1
+            self._note(cycle.number, cycle.time, math.inf)
+            return
+        self._cycles.append((cycle.number, cycle.time))
+        self._recorded.append(cycle.recorded)
+        self._sent.append(cycle.sent)
+        self._take(cycle.step.position, cycle.step.velocity)
+
+    def add_stretch(self, stretch: Stretch) -> None:
+        """Take cycles that all have a command."""
+        self._cycles += [(record[0], record[1]) for record in stretch.records]
+        self._recorded += stretch.recorded
+        self._sent += stretch.sent
+        self._take(stretch.position.ravel(), stretch.velocity.ravel())
+
+    def _take(self, positions: Array, velocities: Array) -> None:
+        self._positions.append(positions)
+        self._velocities.append(velocities)
+        if len(self._cycles) >= _BLOCK:
             self.look()
 
     def look(self) -> None:
         """Compare what has been added since the last look."""
-        block, self._waiting = self._waiting, []
-        self._result.commands += len(block)
-        if block and not self._same(block):
-            for entry in block:
-                if not self._same([entry]):
-                    self._note(entry[0], entry[2] * 1e-9)
+        count = len(self._cycles)
+        if not count:
+            return
+        self._result.commands += count
+        positions = np.concatenate(self._positions).reshape(count, -1)
+        velocities = np.concatenate(self._velocities).reshape(count, -1)
+        if not self._same(slice(count), positions, velocities):
+            for k, (number, time) in enumerate(self._cycles):
+                if not self._same(slice(k, k + 1), positions, velocities):
+                    self._note(number, time, self._difference(self._recorded[k], positions[k]))
+        self._begin()
 
-    def _same(self, block: list[tuple[Cycle, int, int]]) -> bool:
-        steps = [cycle.step for cycle, _, _ in block if cycle.step is not None]
-        recorded = [cycle.recorded for cycle, _, _ in block if cycle.recorded is not None]
-        if not len(block) == len(steps) == len(recorded):
+    def _same(self, part: slice, positions: Array, velocities: Array) -> bool:
+        recorded = [data for data in self._recorded[part] if data is not None]
+        stamps = [time + self._period for _, time in self._cycles[part]]
+        positions, velocities = positions[part], velocities[part]
+        if len(recorded) < len(stamps) or not self._encode.wrote(recorded, stamps, positions, velocities):
             return False
-        positions, velocities = [step.position for step in steps], [step.velocity for step in steps]
-        if not self._encode.wrote(recorded, [stamp for _, stamp, _ in block], positions, velocities):
-            return False
-        sent = None if self._other is None else map(self._other.write, positions, velocities)
-        return sent is None or [cycle.sent for cycle, _, _ in block] == list(sent)
+        return self._other is None or self._sent[part] == list(map(self._other.write, positions, velocities))
 
-    def _note(self, cycle: Cycle, at: float) -> None:
-        """Note that the command of a cycle, `at` [s] after the run's start, is another."""
-        result = self._result
+    def _difference(self, recorded: bytes | None, position: Array) -> float:
+        with contextlib.suppress(ValueError):  # another kind of message
+            if recorded is not None:
+                return float(np.abs(position - self._encode.positions(recorded)).max())
+        return math.inf
+
+    def _note(self, number: int, time: int, difference: float) -> None:
+        """Note that the command of a cycle that began at `time` [ns] is another."""
+        result, at = self._result, (time - self.first) * 1e-9
         if result.first_difference is None:
-            result.first_difference, result.first_difference_s = cycle.number, at
+            result.first_difference, result.first_difference_s = number, at
         result.identical = False
-        difference = float("inf")
-        if cycle.step is not None and cycle.recorded is not None:
-            with contextlib.suppress(ValueError):  # another kind of message
-                difference = float(np.abs(cycle.step.position - self._encode.positions(cycle.recorded)).max())
         if difference > result.max_difference:
-            result.max_difference, result.max_at = difference, cycle.number
+            result.max_difference, result.max_at = difference, number
         if difference > result.tolerance and result.first_beyond is None:
-            result.first_beyond, result.first_beyond_s = cycle.number, at
+            result.first_beyond, result.first_beyond_s = number, at
 
 
 def describe_software(differences: Mapping[str, tuple[str, str]]) -> str:

@@ -23,8 +23,10 @@ class ErrorStatistics:
         self._largest = np.zeros(2)
 
     def add(self, error: Array) -> None:
-        """Take one cycle's error; one that is exactly zero means that there was no pose to follow, and is left out."""
-        self._waiting.append(error)
+        """Take the error of one cycle, or of k (k, 6); one that is exactly zero means that there was no pose to follow,
+        and is left out.
+        """
+        self._waiting.append(error.reshape(-1, 6))
         if len(self._waiting) == _BLOCK:
             self._sum_up()
 

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from ik_controller.control.status import SENTENCES, Code, Limit, Status
 from ik_controller.errors import BagError
 from ik_controller.parameters import ControllerParameters
+from ik_controller.recording.cycles import Cycle
 from ik_controller.recording.envelope import Envelope
 from ik_controller.recording.reader import BagReader, open_bag
-from ik_controller.recording.replay import Cycle, Replay, replay
+from ik_controller.recording.replay import Replay, replay
 from ik_controller.recording.run import RunInfo
 from ik_controller.recording.signals import BLOCK, Signals
 from ik_controller.session import Session

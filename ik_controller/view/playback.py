@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from ik_controller.control.status import Code
 from ik_controller.errors import BagError
 from ik_controller.kinematics.model import RobotModel
+from ik_controller.recording.cycles import cycles, session_of
 from ik_controller.recording.reader import open_bag
-from ik_controller.recording.replay import cycles, session_of
 from ik_controller.view.page import Page
 
 Array = NDArray[np.float64]

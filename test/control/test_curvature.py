@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import arms
 import numpy as np
 import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from motions import bundled
+from motions import arm
 
 from ik_controller import RobotModel
 from ik_controller.control.curvature import bend, curved_squares
 
 SEEDS = st.integers(0, 2**32 - 1)
-
-
-def model_of(name: str) -> RobotModel:
-    return bundled(name).model if name in ("panda", "ur5e") else RobotModel.from_urdf(getattr(arms, name)(), "tool")
 
 
 def error_of(model: RobotModel, target: pin.SE3, q: np.ndarray) -> np.ndarray:
@@ -29,7 +24,7 @@ def error_of(model: RobotModel, target: pin.SE3, q: np.ndarray) -> np.ndarray:
 @settings(max_examples=20, deadline=None)
 @given(seed=SEEDS)
 def test_jacobian_and_bend_are_the_second_derivatives_of_half_the_squared_error(name: str, seed: int) -> None:
-    model, random = model_of(name), np.random.default_rng(seed)
+    model, random = arm(name).model, np.random.default_rng(seed)
     q = random.uniform(np.fmax(model.lower, -2.0), np.fmin(model.upper, 2.0))
     tool = model.forward(q)
     # The error of rotation bends a little itself: by |e_R|²/12 of what is here.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import math
 
 import arms
@@ -10,34 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from motions import Robot, bundled, difference, moved, started
+from motions import JERKS, arm, difference, moved, started
 
 from ik_controller import Controller, ControllerParameters, Reference, RobotModel
 from ik_controller.control.status import Code, Limit
 
 DT = 1e-3
 ARMS = ["panda", "ur5e", "scara", "skewed_7", "planar_2r", "planar_3r", "panda jerk", "ur5e jerk", "scara jerk"]
-# rad/s³, as libfranka states them; soft ones, of which a ramp takes a tenth of a second; and joints without one.
-JERKS = {
-    "panda jerk": [7500, 3750, 5000, 6250, 7500, 10000, 10000],
-    "ur5e jerk": [60, 60, math.inf, 100, 1e5, 80],
-    "scara jerk": [40, 300, 20, math.inf],
-}
-
-
-@functools.cache
-def arm(name: str) -> Robot:
-    """A bundled robot, or a small arm: prismatic joints, fewer joints than the task has rows."""
-    if name in ("panda", "ur5e"):
-        return bundled(name)
-    if name.endswith(" jerk"):
-        plain = arm(name.removesuffix(" jerk"))
-        model = RobotModel.from_urdf(plain.model.urdf_text, plain.model.tip_frame, plain.model.base_frame)
-        limits = plain.model.velocity_limit, plain.model.acceleration_limit
-        model.set_limits(velocity=limits[0], acceleration=limits[1], jerk=JERKS[name])
-        return Robot(model, plain.parameters, plain.home)
-    model = RobotModel.from_urdf(getattr(arms, name)(), "tool")
-    return Robot(model, ControllerParameters(), model.middle() + 0.1)
 
 
 class Watch:

@@ -8,7 +8,7 @@ import math
 import arms
 import numpy as np
 import pytest
-from motions import Robot, bundled, difference, moved, started
+from motions import Robot, arm, bundled, difference, moved, started
 
 from ik_controller import Controller, ControllerParameters, Reference, RobotModel
 from ik_controller.control.status import Code, Limit
@@ -100,7 +100,7 @@ def test_the_closest_approach_is_at_rest_and_every_way_back_is_open(name, direct
 
 def rest_beyond_reach(name: str, seed: int, seconds: float = 12.0) -> float:
     """Send an arm to a pose out of reach, drawn by `seed`; return the largest share of the speed limits in the end."""
-    robot = bundled(name) if name in ("panda", "ur5e") else small_arm(name)
+    robot = arm(name)
     random = np.random.default_rng(seed)
     way = random.normal(size=3)
     way *= random.uniform(1.0, 3.0) / np.linalg.norm(way)
@@ -114,11 +114,6 @@ def rest_beyond_reach(name: str, seed: int, seconds: float = 12.0) -> float:
             assert step.status.closest or np.abs(step.error).max() < 1e-6  # a long way may lead to the other side
             return max(speeds[-500:])
     return max(speeds[-500:])
-
-
-def small_arm(name: str) -> Robot:
-    model = RobotModel.from_urdf(getattr(arms, name)(), "tool")
-    return Robot(model, ControllerParameters(), model.middle() + 0.1)
 
 
 @pytest.mark.parametrize(("name", "seed"), [("panda", 2), ("panda", 7), ("ur5e", 1), ("scara", 2), ("planar_3r", 1)])

@@ -14,8 +14,9 @@ from bag_samples import evenly_chunked
 from ik_controller import cli
 from ik_controller.errors import BagError, ParameterError
 from ik_controller.messages import cdr
+from ik_controller.recording.cycles import Cycle
 from ik_controller.recording.reader import open_bag
-from ik_controller.recording.replay import Cycle, replay
+from ik_controller.recording.replay import replay
 from ik_controller.recording.run import METADATA, RunInfo
 from ik_controller.recording.target_bag import Source, TargetBag, TargetOptions, TimedTarget, write_targets
 from ik_controller.recording.writer import BagWriter

@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from ik_controller.control.status import Code, Limit, Status
 from ik_controller.kinematics.jacobian import analyse
 from ik_controller.messages import cdr
+from ik_controller.recording.cycles import Cycle
 from ik_controller.recording.envelope import Envelope
 from ik_controller.recording.export import CsvSink, ParquetSink
 from ik_controller.recording.reader import open_bag
-from ik_controller.recording.replay import Cycle
 from ik_controller.recording.timeline import Timeline, collect, reasons
 from ik_controller.robots import bundled_parameters
 from ik_controller.session import Session

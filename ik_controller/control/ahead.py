@@ -1,0 +1,129 @@
+"""Cycles worked out ahead, many in one call: what a replay may do, which knows when the next ones are.
+
+Out of Python, a cycle takes a third of the time. It is the same kernel of the law and the same gate on the same
+numbers, so the bits are the same; a cycle for which they are not the whole story is left for `Controller.step`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ik_controller.control.bounded import CLOSEST
+from ik_controller.control.extrapolation import carry_on
+from ik_controller.control.gate import check
+from ik_controller.control.kernel import NOT_FINITE, SCALARS, tool_cycle
+from ik_controller.control.reach import LAST, near_bound
+from ik_controller.control.reference import Reference
+from ik_controller.kinematics.accelerate import compiled
+
+Array = NDArray[np.float64]
+
+REST, AWAY = 1e-3, 1e-6  # at rest: a share of the speed limits; away: an error of the tool [m, rad]
+
+
+class Course(NamedTuple):
+    """How a pose stream goes on without a new sample: from `position` (3,) [m] and `rotation` (3, 3) by `twist` (6,)
+    [m/s, rad/s], which changes at `rate` (6,). Cycles begin `ahead` (k,) [s] after the sample, at these `times` [ns].
+    """
+
+    position: Array
+    rotation: Array
+    twist: Array
+    rate: Array
+    ahead: Array
+    times: list[int]
+
+
+class Ahead:
+    """Cycles that are worked out: `states` (k + 1, 2n + 12) and the gate's `memories` (k + 1, 3, n), each beginning
+    with those before the first cycle; `outcomes`, what `tool_cycle` returned for each; `taken`: how many have been run.
+    """
+
+    __slots__ = ("_poses", "_times", "_twists", "memories", "outcomes", "states", "taken")
+
+    def __init__(
+        self,
+        times: list[int],
+        states: Array,
+        memories: Array,
+        poses: Array,
+        twists: Array,
+        outcomes: list[list[float]],
+    ) -> None:
+        """`times` [ns] at which the cycles begin; `poses` (k, 4, 3), `twists` (k, 6): their references."""
+        self.states, self.memories, self.outcomes, self.taken = states, memories, outcomes, 0
+        self._times, self._poses, self._twists = times, poses, twists
+
+    def next_is(self, time: int) -> bool:
+        """Tell whether the next cycle begins at that time [ns]."""
+        return self.taken < len(self.outcomes) and self._times[self.taken] == time
+
+    def reference(self) -> Reference:
+        """Return that of the cycle taken last."""
+        pose = self._poses[self.taken - 1]
+        return Reference(pose[3], pose[:3], self._twists[self.taken - 1])
+
+
+@compiled
+def rests_away(v: Array, error: Array, speeds: Array) -> bool:
+    """Tell whether an arm at v (n,) is as good as at rest while there is an error (6,) that it would follow if it
+    could; `speeds` (n,): its limits.
+    """
+    for i in range(v.shape[0]):
+        if not abs(v[i]) <= REST * speeds[i]:
+            return False
+    for i in range(6):  # noqa: SIM110 (Numba compiles no generators)
+        if abs(error[i]) > AWAY:
+            return True
+    return False
+
+
+@compiled
+def cycles_ahead(
+    chain: Any,
+    law: Array,
+    limits: Array,
+    own_limits: Array,
+    speeds: Array,
+    course: Any,
+    feed_forward: bool,
+    reserve: bool,
+    dt: float,
+    states: Array,
+    memories: Array,
+    poses: Array,
+    twists: Array,
+    outcomes: Array,
+) -> int:
+    """Work out cycles along a course, as many as need nothing more than this; return how many.
+
+    States `states` (k + 1, 2n + 12) and the gate's `memories` (k + 1, 3, n) begin with the last ones; `poses`
+    (k, 4, 3) and `twists` (k, 6): the references; `outcomes` (k, 5): what `tool_cycle` returns. `own_limits`: the
+    gate's; `speeds` (n,): see `rests_away`.
+    """
+    n = speeds.shape[0]
+    position, rotation, twist, rate, ahead = course
+    detail, still = np.empty((7, n)), np.zeros(6)
+    count: int = ahead.shape[0]
+    for k in range(count):
+        state, memory, pose = states[k, : 2 * n + 6], memories[k], poses[k]
+        carry_on(position, rotation, twist, rate if ahead[k] > 0.0 else still, ahead[k], dt, pose, twists[k])
+        limits[LAST, :n] = memory[2]
+        how, scale, joint, limit, sigma = tool_cycle(
+            chain, law, limits, state, state[:n], pose[3], pose[:3], twists[k] if feed_forward else still, still, True,
+            reserve, dt, states[k + 1], detail,
+        )  # fmt: skip
+        if how == NOT_FINITE or (scale < 1.0 and near_bound(state[:n], limits)):
+            return k
+        q, v, error = states[k + 1, :n], states[k + 1, n : 2 * n], states[k + 1, 2 * n + 6 :]
+        may_rest = sigma < law[SCALARS, 3] or how == CLOSEST or law[SCALARS, 4] < 6.0
+        if may_rest and rests_away(v, error, speeds):
+            return k
+        memories[k + 1] = memory
+        if check(memories[k + 1], own_limits, q, v, dt) != 0:
+            return k
+        outcomes[k, 0], outcomes[k, 1], outcomes[k, 2], outcomes[k, 3], outcomes[k, 4] = how, scale, joint, limit, sigma
+    return count
