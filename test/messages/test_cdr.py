@@ -48,7 +48,7 @@ def test_messages_are_told_from_others_by_any_bit(commands, random):
     """Stamps, numbers (NaN, −0.0) and all that is fixed; a block of several at once."""
     writer = cdr.JointStateWriter(JOINTS)
     stamps = [stamp for stamp, *_ in commands]
-    positions, velocities = ([np.array(numbers[i : i + 3]) for numbers in commands] for i in (1, 4))
+    positions, velocities = (np.array([numbers[i : i + 3] for numbers in commands]) for i in (1, 4))
     messages = list(map(writer.write, stamps, positions, velocities))
     assert writer.wrote(messages, stamps, positions, velocities)
     which, at = random.randrange(len(messages)), random.randrange(len(messages[0]))
