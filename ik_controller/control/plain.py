@@ -155,11 +155,11 @@ class PlainCycle:
 
         out[2 * n + 6 :] = self._e
         q, velocity, scale, joint, limit = state[:n], wanted, 1.0, -1, FREE
-        places, rates = q.tolist(), v.tolist()
-        if not self._idle(wanted.tolist(), rates, places):
+        places, rates, goals = q.tolist(), v.tolist(), wanted.tolist()
+        if not self._idle(goals, rates, places):
             found = None
             if self._path is not None and math.isfinite(wanted.dot(wanted)) and self._idle(rates, rates, places):
-                found = self._path.velocity(wanted, v, jacobian, state[2 * n : 2 * n + 6])
+                found = self._path.velocity(goals, rates, jacobian, state[2 * n : 2 * n + 6])
             if found is None:
                 return *bounded_cycle(wanted, jacobian, limits, state, reserve, True, dt, out), sigma
             velocity, scale, joint, limit = found
@@ -221,10 +221,11 @@ def near_bound(q: Array, limits: Array) -> bool:
     """Tell the same as `reach.near_bound`."""
     places = q.tolist()
     rows = limits[BOUNDS : ACCELERATION + 1].tolist()
-    return any(
-        (bound - place) * acceleration < (NEAR * speed) ** 2
-        for place, bound, speed, acceleration in zip(places + [-place for place in places], *rows, strict=True)
-    )
+    for place, bound, speed, acceleration in zip(places + [-place for place in places], *rows, strict=True):
+        slow = NEAR * speed
+        if (bound - place) * acceleration < slow * slow:
+            return True
+    return False
 
 
 def _largest(vector: Array) -> float:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from operator import mul
 
-import daqp
 import eigenpy
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +19,11 @@ from ik_controller.control.kernel import BY_ACCELERATION, BY_VELOCITY, FREE
 
 Array = NDArray[np.float64]
 Floats = list[float]
+Row = tuple[float, float, float, float]
 
 MOST_JOINTS = 7
 _OMEGA = math.sqrt(SCALE_WEIGHT)
 _SAME = 1e-6  # share of a step of the velocity by which a bound is told from another
-_SOLVED = 1
 
 
 class PlainPath:
@@ -32,44 +31,44 @@ class PlainPath:
 
     def __init__(self, limit: Array, step: Array) -> None:
         """`limit` (n,): the velocity limits; `step` (n,): by how much a velocity may change in a cycle."""
-        n = limit.shape[0]
-        self._limit, self._shares = limit, 1.0 / limit
+        self._limit = limit
+        self._limits: Floats = limit.tolist()
+        self._steps: Floats = (step / limit).tolist()
         self._cholesky = eigenpy.LLT(6)
-        self._step, self._one = step / limit, np.ones(n)
-        self._steps: Floats = self._step.tolist()
-        self._both, self._reach = np.empty((2, n)), np.empty((2, n))  # y_wanted and the last y; bounds, lower and upper
-        # Of the program in (√W (most − s), z): a row for each joint, and one for s itself.
-        self._rows, self._ends = np.zeros((n + 1, 2)), np.empty((2, n + 1))
-        self._rows[n, 0] = 1.0 / _OMEGA
-        self._fixed = np.eye(2), np.zeros(2), np.zeros(n + 1, dtype=np.int32)
 
-    def velocity(self, wanted: Array, v: Array, jacobian: Array, last: Array) -> tuple[Array, float, int, int] | None:
+    def velocity(self, wanted: Floats, v: Floats, jacobian: Array, last: Array) -> tuple[Array, float, int, int] | None:
         """Return (q̇ (n,), s, joint, limit) nearest to `wanted` (n,) after `v` (n,), `last` ẋ_last (6,); None where it
         does not lie on the path. J (6, n) of full rank.
         """
-        (goal, start), (lower, upper) = self._both, self._reach
-        np.multiply(wanted, self._shares, goal)
-        np.multiply(v, self._shares, start)
-        np.maximum(start - self._step, -self._one, lower)
-        np.minimum(start + self._step, self._one, upper)
-        (aim, speeds), (low, high) = self._both.tolist(), self._reach.tolist()
+        aim = [velocity / limit for velocity, limit in zip(wanted, self._limits, strict=True)]
+        speeds = [velocity / limit for velocity, limit in zip(v, self._limits, strict=True)]
+        low = [max(speed - step, -1.0) for speed, step in zip(speeds, self._steps, strict=True)]
+        high = [min(speed + step, 1.0) for speed, step in zip(speeds, self._steps, strict=True)]
         joint, limit = self._held(aim, low, high, speeds)
         if joint < 0:
-            return wanted, 1.0, joint, limit
-        moving, before = self._split(jacobian, last)
-        null = _null(moving)
-        scale, z = 1.0, nearest_null(aim, null, low, high)
-        if z is None:
-            most = self._most(aim, speeds, moving, before.tolist())
-            found = self._slowed(aim, null, most)
+            return np.array(wanted), 1.0, joint, limit
+        null, before = self._split(jacobian, last)
+        tolerance = _TOLERANCE * max(1.0, max(aim), -min(aim))
+        rows = [
+            (0.0, idle, least - goal, most - goal) for goal, idle, least, most in zip(aim, null, low, high, strict=True)
+        ]
+        scale, found = 1.0, shortest(rows, tolerance)
+        if found is None:
+            # Of (√W (most − s), z): a row for each joint, and one for s itself.
+            ask = self._most(aim, speeds, null, before)
+            rows = [
+                (-goal / _OMEGA, idle, least - ask * goal, most - ask * goal)
+                for goal, idle, least, most in zip(aim, null, low, high, strict=True)
+            ]
+            found = shortest([*rows, (1.0 / _OMEGA, 0.0, ask - 1.0, ask)], tolerance)
             if found is None:
                 return None
-            scale, z = found
+            scale = min(max(ask - found[0] / _OMEGA, 0.0), 1.0)
         path = [
-            min(max(scale * goal + z * idle, least), most)
+            min(max(scale * goal + found[1] * idle, least), most)
             for goal, idle, least, most in zip(aim, null, low, high, strict=True)
         ]
-        return np.array(path) * self._limit, min(max(scale, 0.0), 1.0), joint, limit
+        return np.array(path) * self._limit, scale, joint, limit
 
     def _held(self, aim: Floats, low: Floats, high: Floats, speeds: Floats) -> tuple[int, int]:
         """Return the joint that is furthest beyond its bounds, −1 for none, and which of its limits it is."""
@@ -82,16 +81,26 @@ class PlainPath:
         step = self._steps[joint]
         return joint, BY_ACCELERATION if abs(abs(change) - step) < _SAME * step else BY_VELOCITY
 
-    def _split(self, jacobian: Array, last: Array) -> tuple[Array, Array]:
-        """Return the projector (n, n) onto what moves the tool, and the shortest that moves it by `last` (6,)."""
-        task = jacobian * self._limit
+    def _split(self, jacobian: Array, last: Array) -> tuple[Floats, Floats]:
+        """Return (N, b), (n,) each: what does not move the tool, and the shortest that moves it by `last` ẋ (6,)."""
+        n, task = len(self._limits), jacobian * self._limit
         inverse = self._cholesky.compute(task.dot(task.T)).solve(task)  # the transpose of task⁺
-        return task.T.dot(inverse), last.dot(inverse)
+        before: Floats = last.dot(inverse).tolist()
+        if n == 6:
+            return [0.0] * n, before
+        moving = task.T.dot(inverse)  # projects onto what moves the tool; of the axis that does so least, the rest is N
+        shares = moving.diagonal().tolist()
+        axis = shares.index(min(shares))
+        rest: Floats = moving[axis].tolist()
+        rest[axis] -= 1.0
+        size = math.hypot(*rest)
+        return [value / size for value in rest], before
 
-    def _most(self, aim: Floats, speeds: Floats, moving: Array, before: Floats) -> float:
+    def _most(self, aim: Floats, speeds: Floats, null: Floats, before: Floats) -> float:
         """Return the share of the path's speed to ask for: the less of `bounded._most_at_ease` and `_most_ahead`."""
-        part, slow = self._both.dot(moving).tolist()
-        turn = [b - s for b, s in zip(before, slow, strict=True)]
+        idle, own = sum(map(mul, aim, null)), sum(map(mul, speeds, null))
+        part = [goal - idle * share for goal, share in zip(aim, null, strict=True)]
+        turn = [b - (s - own * share) for b, s, share in zip(before, speeds, null, strict=True)]
         square = sum(map(mul, part, part))
         if not square > 0.0:
             return 1.0
@@ -122,53 +131,37 @@ class PlainPath:
         ahead = max(fastest, last - _SLOWING_SHARE * hardest)
         return min(ease, ahead) if ahead > 0.0 else ease
 
-    def _slowed(self, aim: Floats, null: Floats, most: float) -> tuple[float, float] | None:
-        """Return (s, z) within the bounds, 0 ≤ s ≤ 1, where W (`most` − s)² + z² is smallest; None for none."""
-        rows, ends, (identity, zero, sense) = self._rows, self._ends, self._fixed
-        goal = self._both[0]
-        np.multiply(goal, -1.0 / _OMEGA, rows[:-1, 0])
-        rows[:-1, 1] = null
-        np.subtract(self._reach, most * goal, ends[:, :-1])
-        ends[0, -1], ends[1, -1] = most - 1.0, most
-        tolerance = _TOLERANCE * max(1.0, max(aim), -min(aim))
-        x, _, flag, _ = daqp.solve(identity, zero, rows, ends[1], ends[0], sense, primal_tol=tolerance)
-        if flag != _SOLVED:
-            return None
-        t, z = x.tolist()
-        return most - t / _OMEGA, z
 
+def shortest(rows: list[Row], tolerance: float) -> tuple[float, float] | None:
+    """Return the shortest x (2,) with lower ≤ a x₀ + b x₁ ≤ upper for each row (a, b, lower, upper), None for none.
 
-def _null(moving: Array) -> Floats:
-    """Return the vector of length 1 (n,) beside the projector `moving` (n, n), 0 for six joints.
-
-    It is what is left of an axis: of that which moves the tool least.
+    Row by row (Seidel 1991): where the shortest within the rows before is beyond one, the shortest lies on its edge.
     """
-    n = moving.shape[0]
-    if n == 6:
-        return [0.0] * n
-    shares = moving.diagonal().tolist()
-    axis = shares.index(min(shares))
-    null: Floats = moving[axis].tolist()
-    null[axis] -= 1.0
-    size = math.hypot(*null)
-    return [value / size for value in null]
-
-
-def nearest_null(aim: Floats, null: Floats, low: Floats, high: Floats) -> float | None:
-    """Return the z nearest to 0 with `low` ≤ aim + z N ≤ `high`, (n,) each; None where there is none."""
-    least, most = -math.inf, math.inf
-    for goal, idle, lower, upper in zip(aim, null, low, high, strict=True):
-        if idle == 0.0:
-            if not lower <= goal <= upper:
-                return None
+    x, y = 0.0, 0.0
+    for count, (a, b, lower, upper) in enumerate(rows):
+        value, square = a * x + b * y, a * a + b * b
+        if lower - tolerance <= value <= upper + tolerance:
             continue
-        one, other = (lower - goal) / idle, (upper - goal) / idle
-        if idle < 0.0:
-            one, other = other, one
-        if one > least:
-            least = one
-        if other < most:
-            most = other
-        if least > most:
+        if square == 0.0:
             return None
-    return min(max(0.0, least), most)
+        bound = upper if value > upper else lower
+        foot_x, foot_y, least, most = a * bound / square, b * bound / square, -math.inf, math.inf
+        for c, d, low, high in rows[:count]:
+            rest, along = c * foot_x + d * foot_y, d * a - c * b
+            if along == 0.0:
+                if not low - tolerance <= rest <= high + tolerance:
+                    return None
+                continue
+            one, other = (low - rest) / along, (high - rest) / along
+            if along < 0.0:
+                one, other = other, one
+            # max and min would cost three times as much
+            if one > least:
+                least = one
+            if other < most:
+                most = other
+            if least > most + tolerance / abs(along):
+                return None
+        way = min(max(0.0, least), most)
+        x, y = foot_x - way * b, foot_y + way * a
+    return x, y

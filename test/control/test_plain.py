@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 
+import daqp
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -19,6 +20,7 @@ from ik_controller.control.kernel import BY_ACCELERATION, BY_VELOCITY, tool_cycl
 from ik_controller.control.law import Law
 from ik_controller.control.limits import JointLimits
 from ik_controller.control.plain import PlainCheck, PlainCycle, near_bound
+from ik_controller.control.plain_path import shortest
 from ik_controller.control.reach import LAST
 from ik_controller.control.reach import near_bound as near_bound_by_loops
 from ik_controller.kinematics.accelerate import HAS_NUMBA
@@ -132,6 +134,22 @@ def test_commands_are_those_of_the_compiled_law(plain, name):
     np.testing.assert_allclose(found[:, n:-1], compiled[:, n:-1], rtol=0.0, atol=1e-7)  # as far as DAQP's digits go
     np.testing.assert_allclose(found[1:, -1], compiled[1:, -1], rtol=0.0, atol=1e-9)
     assert np.abs(compiled[-1, :-1] - compiled[0, :-1]).max() > 1e-4
+
+
+@settings(max_examples=300, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 9), apart=st.sampled_from([0.0, 1.0, 3.0]))
+def test_the_shortest_pair_within_rows_is_that_of_another_solver(seed, count, apart):
+    """Where it does not exist, DAQP finds none either; apart: how far the rows are from containing 0."""
+    rng = np.random.default_rng(seed)
+    matrix, middle = rng.normal(size=(count, 2)), apart * rng.normal(size=count)
+    lower, upper = middle - rng.uniform(0.0, 1.0, count), middle + rng.uniform(0.0, 1.0, count)
+    found = shortest([*zip(*matrix.T.tolist(), lower.tolist(), upper.tolist(), strict=True)], 1e-12)
+    expected, _, flag, _ = daqp.solve(
+        np.eye(2), np.zeros(2), matrix, upper, lower, np.zeros(count, dtype=np.int32), primal_tol=1e-11
+    )
+    assert (found is not None) == (flag == 1)
+    if found is not None:
+        np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-8)
 
 
 def test_the_quick_look_of_the_gate_finds_what_the_gate_does():
