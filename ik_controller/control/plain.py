@@ -75,12 +75,13 @@ class PlainCycle:
         self._table, self._dt, self._last = limits, dt, limits[LAST, :n]
         self._half, self._dts = np.array((0.5 * dt, 0.5 * dt * dt)), np.full(n, dt)
         velocity, acceleration = limits[VELOCITY, :n], limits[ACCELERATION, :n]
-        even = bool((limits[VELOCITY : ACCELERATION + 1, :n] == limits[VELOCITY : ACCELERATION + 1, n:]).all())
-        self._plain_limits = not bool(np.isfinite(limits[JERK]).any()) and even and bool((velocity > 0.0).all())
+        both = limits[VELOCITY : ACCELERATION + 1]
+        even = bool((both[:, :n] == both[:, n:]).all() and (both > 0.0).all())
+        self._plain_limits = even and not bool(np.isfinite(limits[JERK]).any())
         with np.errstate(all="ignore"):
             stop = np.tile(velocity * (0.5 * velocity / acceleration + dt), 2)
             room = np.where(np.isfinite(limits[BOUNDS]), limits[BOUNDS] - stop, math.inf)
-        finite = bool(np.isfinite(limits[VELOCITY : ACCELERATION + 1]).all())
+        finite = bool(np.isfinite(both).all())
         self._path = (
             PlainPath(velocity, acceleration * dt) if self._plain_limits and finite and n <= MOST_JOINTS else None
         )

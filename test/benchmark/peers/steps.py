@@ -176,7 +176,8 @@ def compare_steps(rounds: int = ROUNDS) -> None:
 
 def print_times(runners: dict[str, Runner | str], rounds: int) -> None:
     """Print the medians of batches that took turns."""
-    print(f"\none step towards a moving pose, 7-joint arm, µs (median of {rounds} batches of {BATCH}, taking turns)")
+    batches = f"median of {rounds} batches of {BATCH}, taking turns"
+    print(f"\none step towards a moving pose, 7-joint arm, µs of CPU time ({batches})")
     print(f"{'':26s}" + "".join(f"{case:>18s}" for case in CASES))
     times: dict[str, dict[str, list[Any]]] = {name: {case: [] for case in CASES} for name in runners}
     for case in CASES:
