@@ -59,7 +59,9 @@ def main() -> int:
                 output.seek(0)
                 said = output.read().decode(errors="replace")
             failed = re.findall(r"^(?:FAILED|ERROR) (\S+)", said, re.MULTILINE)
-            if code not in (0, 1):
+            if code < 0:
+                failed.append(f"killed-by-signal-{-code}")
+            elif code > 1:  # nothing to repeat
                 print(said, file=sys.stderr)
                 return 2
             failures.update(failed)

@@ -120,6 +120,12 @@ def environment(domain: int) -> dict[str, str]:
     }
 
 
+def bare_node(name: str, context: rclpy.Context) -> Node:
+    """Return a node with nothing of its own, neither log topic nor services."""
+    plain = [rclpy.parameter.Parameter("start_type_description_service", value=False)]
+    return Node(name, context=context, enable_rosout=False, start_parameter_services=False, parameter_overrides=plain)
+
+
 class Process:
     """A process in a group of its own, with its output in files."""
 
@@ -171,8 +177,7 @@ class Rig:
         self.processes: list[Process] = []
         self.context = rclpy.Context()
         rclpy.init(context=self.context, domain_id=self.domain)
-        self._listener = Node("test_listener", context=self.context, enable_rosout=False)
-        self._caller = Node("test_caller", context=self.context, enable_rosout=False)
+        self._listener, self._caller = bare_node("test_listener", self.context), bare_node("test_caller", self.context)
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self._caller)
         self._clients: dict[str, Any] = {}
@@ -190,6 +195,10 @@ class Rig:
         for process in self.processes:
             process.kill()
         self._executor.shutdown()
+        # Fast DDS 2.14 may crash where something is destroyed here while word comes in that others have left.
+        names, by = None, time.monotonic() + 5.0
+        while names != (names := self._listener.get_node_names()) and time.monotonic() < by:
+            time.sleep(0.2)
         self._listener.destroy_node()
         self._caller.destroy_node()
         rclpy.shutdown(context=self.context)
