@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -65,7 +64,7 @@ class Playback:
         self.page = Page(title, None, dark)
         self._run = run
         self.page.load(run.model)
-        self._stop = threading.Event()
+        self._stop = False
         gui = self.page.server.gui
         self._playing = gui.add_checkbox("play", initial_value=True, order=-3.0)
         self._speed = gui.add_slider("speed", min=0.1, max=5.0, step=0.1, initial_value=1.0, order=-2.0)
@@ -80,14 +79,15 @@ class Playback:
         self._marker: Any = self.page.server.scene.add_icosphere("/reference", radius=0.012, color=(31, 119, 180))
 
     def stop(self, *_: Any) -> None:
-        """End `run`; for signal handlers."""
-        self._stop.set()
+        """End `run`; for signal handlers: it takes no lock."""
+        self._stop = True
 
     def run(self) -> None:
         """Play until `stop`, over and over."""
         shown = -1
         last = time.monotonic()
-        while not self._stop.wait(0.04):
+        while not self._stop:
+            time.sleep(0.04)
             now = time.monotonic()
             if self._playing.value:
                 at = float(self._time.value) + (now - last) * float(self._speed.value)
