@@ -41,10 +41,10 @@ SCALE_WEIGHT = 1e8  # W, against joint velocities of order one
 _STACK_WEIGHT = 1e11  # W in a stack, whose secondary tasks have weights of their own
 _CLOSEST_WEIGHT = 1e-4  # on joint velocities beside the way off the line, where the line cannot be held
 _ROW_WEIGHT = 1e8  # on the square of how far a row of G is not kept
-_CURVE_SHARE = 0.7  # of the accelerations that the path's own curvature may take where the path is slowed anyway
-_SLOWING_SHARE = 0.5  # of the accelerations by which it is slowed for that
+CURVE_SHARE = 0.7  # of the accelerations that the path's own curvature may take where the path is slowed anyway
+SLOWING_SHARE = 0.5  # of the accelerations by which it is slowed for that
 _SPEED_SHARE = 0.98  # of the velocity limits that a path is led to under jerk limits, where it is slowed anyway
-_TOLERANCE = 1e-12  # of bounds, as a share of the velocity limits
+TOLERANCE = 1e-12  # of bounds, as a share of the velocity limits
 
 
 @compiled
@@ -83,7 +83,7 @@ def bounded_velocity(
         largest = max(largest, abs(aim[j]))
         for i in range(m):
             task[i, j] = jacobian[i, j] * limit[j]
-    tolerance = _TOLERANCE * largest
+    tolerance = TOLERANCE * largest
     null, before = row_space(task, last)
     ways, y, found = np.zeros((2, n)), np.empty(n), ALONG
     omega, ease, free = math.sqrt(SCALE_WEIGHT), aim, null
@@ -213,7 +213,7 @@ def _most_ahead(
 ) -> float:
     """Return the largest s after which the joints can go on along the path, as far as this cycle shows it.
 
-    `turn` grows with the square of s: it may take `_CURVE_SHARE` of the joints' accelerations. A joint that it speeds
+    `turn` grows with the square of s: it may take `CURVE_SHARE` of the joints' accelerations. A joint that it speeds
     up comes to its velocity limit, from where on s must fall with it: it must be slow enough for that until then. With
     jerk limits, s itself moves like one joint whose limits are those of the joint that has the least for its part in
     `aim`: so none lets go of its acceleration faster than the others can, before s is at `fastest`. Arrays as above.
@@ -233,19 +233,19 @@ def _most_ahead(
     if not (square > 0.0 and along > 0.0):
         return 1.0
     before, change = along / square, change / square
-    if curve > _CURVE_SHARE:
-        fastest = min(fastest, before * math.sqrt(_CURVE_SHARE / curve))
+    if curve > CURVE_SHARE:
+        fastest = min(fastest, before * math.sqrt(CURVE_SHARE / curve))
     for j in range(n):
         speed = motion[0, j] / limit[j]
         if turn[j] * speed > 0.0:
-            at_limit = (_CURVE_SHARE * hardest * before * before / abs(turn[j])) ** (1.0 / 3.0)
-            late = at_limit + _CURVE_SHARE * hardest * max(1.0 - abs(speed), 0.0) / abs(turn[j])
+            at_limit = (CURVE_SHARE * hardest * before * before / abs(turn[j])) ** (1.0 / 3.0)
+            late = at_limit + CURVE_SHARE * hardest * max(1.0 - abs(speed), 0.0) / abs(turn[j])
             fastest = min(fastest, late)
     if unit < math.inf:
-        hardest *= _SLOWING_SHARE
+        hardest *= SLOWING_SHARE
         most: float = unit * highest(before / unit, change / unit, hardest / unit, fastest / unit, math.inf)
     else:
-        most = max(fastest, before - _SLOWING_SHARE * hardest)
+        most = max(fastest, before - SLOWING_SHARE * hardest)
     return most if most > 0.0 else 1.0
 
 
@@ -394,7 +394,7 @@ def _closest(
             for column in range(n):
                 c[n + i, column] += share * c[j, column]
     # The weight of the rows is more than DAQP's digits bear.
-    solved = least_distance(c, lower, upper, _TOLERANCE, x) if k == 0 else active_set(c, lower, upper, _TOLERANCE, x)
+    solved = least_distance(c, lower, upper, TOLERANCE, x) if k == 0 else active_set(c, lower, upper, TOLERANCE, x)
     if not solved:
         for column in range(n + k):  # not in exact arithmetic: the bounds alone have a solution always
             x[column] = 0.0

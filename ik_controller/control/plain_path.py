@@ -14,7 +14,7 @@ import eigenpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ik_controller.control.bounded import _CURVE_SHARE, _SLOWING_SHARE, _TOLERANCE, SCALE_WEIGHT
+from ik_controller.control.bounded import CURVE_SHARE, SCALE_WEIGHT, SLOWING_SHARE, TOLERANCE
 from ik_controller.control.kernel import BY_ACCELERATION, BY_VELOCITY, FREE
 
 Array = NDArray[np.float64]
@@ -48,7 +48,7 @@ class PlainPath:
         if joint < 0:
             return np.array(wanted), 1.0, joint, limit
         null, before = self._split(jacobian, last)
-        tolerance = _TOLERANCE * max(1.0, max(aim), -min(aim))
+        tolerance = TOLERANCE * max(1.0, max(aim), -min(aim))
         rows = [
             (0.0, idle, least - goal, most - goal) for goal, idle, least, most in zip(aim, null, low, high, strict=True)
         ]
@@ -123,12 +123,12 @@ class PlainPath:
             ease = 1.0
         if not last > 0.0:
             return ease
-        fastest = last * math.sqrt(_CURVE_SHARE / curve) if curve > _CURVE_SHARE else math.inf
+        fastest = last * math.sqrt(CURVE_SHARE / curve) if curve > CURVE_SHARE else math.inf
         for change, speed in zip(turn, speeds, strict=True):
             if change * speed > 0.0:
-                room = _CURVE_SHARE * hardest / abs(change)
+                room = CURVE_SHARE * hardest / abs(change)
                 fastest = min(fastest, (room * last * last) ** (1.0 / 3.0) + room * max(1.0 - abs(speed), 0.0))
-        ahead = max(fastest, last - _SLOWING_SHARE * hardest)
+        ahead = max(fastest, last - SLOWING_SHARE * hardest)
         return min(ease, ahead) if ahead > 0.0 else ease
 
 
