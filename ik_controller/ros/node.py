@@ -44,7 +44,12 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
     def __init__(self, name: str = "ik_controller", **node_arguments: Any) -> None:
         """Raises IkControllerError where parameters or URDF do not fit."""
         super().__init__(name, **node_arguments)
-        self.parameters = declare(self)
+        try:
+            self.parameters = declare(self)
+            self._urdf = urdf_text(self.parameters)
+        except IkControllerError:
+            self.destroy_node()
+            raise
         self.model: RobotModel | None = None
         self.runner: Runner | None = None
         self._outputs: Outputs | None = None
@@ -54,7 +59,6 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
         self._told = 0
         self.preparing = False  # compiling the loop: nothing is commanded yet
         self._status = StatusOutput(self)
-        self._urdf = urdf_text(self.parameters)
         on_change(self, self._accept_parameters)
         self.create_service(SetBool, "~/pause", self._serve_pause)
         self.create_service(Trigger, "~/reset", self._serve_reset)

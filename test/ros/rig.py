@@ -6,6 +6,7 @@ machine hear each other. Waiting is for a condition with a deadline, never for a
 
 from __future__ import annotations
 
+import ctypes
 import fcntl
 import importlib.util
 import itertools
@@ -16,6 +17,7 @@ import sys
 import tempfile
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -54,6 +56,9 @@ _AGAIN = 10.0  # [s] before a question without an answer is asked again
 PATIENCE = 180.0  # [s] before anything that should happen is taken for not happening
 _DOMAINS = itertools.count(os.getpid())
 _LOCKS: list[Any] = []
+_RETIRED: deque[Rig] = deque()
+_MOST_RETIRED = 8
+ctypes.pythonapi.Py_IncRef(ctypes.py_object(_RETIRED))  # not even when Python clears up
 
 NODE = [sys.executable, "-m", "ik_controller.ros"]
 CLI = [sys.executable, "-m", "ik_controller.cli"]
@@ -191,17 +196,22 @@ class Rig:
         }
 
     def close(self) -> None:
-        """End everything."""
+        """End everything.
+
+        What is destroyed is a rig closed long ago, the last ones never: Fast DDS 2.14 crashes now and then where
+        something is destroyed while word comes in that others have left.
+        """
         for process in self.processes:
             process.kill()
         self._executor.shutdown()
-        # Fast DDS 2.14 may crash where something is destroyed here while word comes in that others have left.
-        names, by = None, time.monotonic() + 5.0
-        while names != (names := self._listener.get_node_names()) and time.monotonic() < by:
-            time.sleep(0.2)
+        rclpy.shutdown(context=self.context)
+        _RETIRED.append(self)
+        if len(_RETIRED) > _MOST_RETIRED:
+            _RETIRED.popleft()._destroy()
+
+    def _destroy(self) -> None:
         self._listener.destroy_node()
         self._caller.destroy_node()
-        rclpy.shutdown(context=self.context)
 
     # -- processes
 
