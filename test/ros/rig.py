@@ -6,7 +6,6 @@ machine hear each other. Waiting is for a condition with a deadline, never for a
 
 from __future__ import annotations
 
-import ctypes
 import fcntl
 import importlib.util
 import itertools
@@ -17,7 +16,6 @@ import sys
 import tempfile
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -45,10 +43,11 @@ from ik_controller.recording.target_bag import write_targets
 from ik_controller.robots import build_model, bundled_parameters
 
 os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 # Not through shared memory: Fast DDS 2.14 crashes now and then (SharedMemChannelResource::release) where participants
 # come and go while others are killed, and who is killed leaves segments and locks behind. demo and view run with it.
-os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
+# With LOCALHOST as the range, rmw_fastrtps adds it whatever is configured; so the profile keeps to this host.
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
+os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(Path(__file__).with_name("udp_on_this_host.xml"))
 
 ROOT = Path(__file__).resolve().parents[2]
 _AT_ONCE = 1000  # messages of one topic
@@ -56,9 +55,6 @@ _AGAIN = 10.0  # [s] before a question without an answer is asked again
 PATIENCE = 180.0  # [s] before anything that should happen is taken for not happening
 _DOMAINS = itertools.count(os.getpid())
 _LOCKS: list[Any] = []
-_RETIRED: deque[Rig] = deque()
-_MOST_RETIRED = 8
-ctypes.pythonapi.Py_IncRef(ctypes.py_object(_RETIRED))  # not even when Python clears up
 
 NODE = [sys.executable, "-m", "ik_controller.ros"]
 CLI = [sys.executable, "-m", "ik_controller.cli"]
@@ -196,22 +192,13 @@ class Rig:
         }
 
     def close(self) -> None:
-        """End everything.
-
-        What is destroyed is a rig closed long ago, the last ones never: Fast DDS 2.14 crashes now and then where
-        something is destroyed while word comes in that others have left.
-        """
+        """End everything."""
         for process in self.processes:
             process.kill()
         self._executor.shutdown()
-        rclpy.shutdown(context=self.context)
-        _RETIRED.append(self)
-        if len(_RETIRED) > _MOST_RETIRED:
-            _RETIRED.popleft()._destroy()
-
-    def _destroy(self) -> None:
         self._listener.destroy_node()
         self._caller.destroy_node()
+        rclpy.shutdown(context=self.context)
 
     # -- processes
 
