@@ -44,6 +44,7 @@ for _name, _text in EXTRA_TYPES.items():
 _SECOND = 1_000_000_000
 _STAMP = struct.Struct("<iI")
 _NUMBER = np.dtype("<f8")
+_ABSURD = 1e154  # no joint is there; the square is no number any more
 
 
 def decode(type_name: str, data: bytes) -> Any:
@@ -212,7 +213,7 @@ class JointStateReader:
             return None
         self._last[:] = data
         values: Array = self._values.copy() if self._order is None else self._values[self._order]
-        if not math.isfinite(values.dot(values)):  # or so large that no joint is there
+        if not math.hypot(*values.tolist()) < _ABSURD:  # or not a number
             index = int(np.argmax(np.fmax(np.abs(values), np.where(np.isnan(values), np.inf, 0.0))))
             raise MessageError(f"position of '{self._names[index]}' is {values[index]}: need finite values")
         return values
