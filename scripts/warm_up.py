@@ -9,4 +9,4 @@ from ik_controller.share import robot_names
 if __name__ == "__main__":
     for name in robot_names():
         parameters = bundled_parameters(name)
-        Session(build_model(parameters), parameters).warm_up()
+        Session(build_model(parameters), parameters).warm_up(together=True)
