@@ -140,17 +140,20 @@ def replay(
     first = last = 0
     before: Array | None = None
     tracking, period = Code.TRACKING, session.period
-    session.warm_up(together=True)
+    together = writer is None and watch is None
+    session.warm_up(together=together)
     gc.collect()
     gc.freeze()  # what is there by now need not be looked through again and again while cycles pass
     begin = time.perf_counter()
     passing: Iterator[Cycle | Stretch]
-    if writer is None and watch is None:
+    if together:
         passing = stretches(bag, session, info, changed)
     else:
         each = cycles(bag, session, info, changed, writer)
         passing = each if watch is None else watch(each, session)
     for cycle in passing:
+        if result.cycles == 0:
+            first = comparison.first = cycle.records[0][1] if isinstance(cycle, Stretch) else cycle.time
         if isinstance(cycle, Stretch):
             last = cycle.records[-1][1]
             result.cycles += len(cycle.records)
@@ -160,8 +163,6 @@ def replay(
             before = cycle.position[-1]
             continue
         number, last, late, work, step, recorded, _ = cycle
-        if result.cycles == 0:
-            first = comparison.first = last
         result.cycles += 1
         result.missed += late > period
         if step is not None or recorded is not None:

@@ -14,10 +14,11 @@ from bag_samples import evenly_chunked
 from ik_controller import cli
 from ik_controller.errors import BagError, ParameterError
 from ik_controller.messages import cdr
-from ik_controller.recording.cycles import Cycle
+from ik_controller.messages.inputs import INPUTS
+from ik_controller.recording.cycles import Cycle, session_of
 from ik_controller.recording.reader import open_bag
 from ik_controller.recording.replay import replay
-from ik_controller.recording.run import METADATA, RunInfo
+from ik_controller.recording.run import METADATA, RunInfo, RunWriter
 from ik_controller.recording.target_bag import Source, TargetBag, TargetOptions, TimedTarget, write_targets
 from ik_controller.recording.writer import BagWriter
 from ik_controller.robots import build_model, bundled_parameters
@@ -99,6 +100,39 @@ def test_a_run_replays_bit_identically_and_so_does_the_replays_bag(run: Path, tm
     assert (again.commands, again.cycles) == (result.commands, result.cycles)
     old, new = ([m.data for m in open_bag(b).messages(["/joint_commands"])] for b in (run, tmp_path / "again"))
     assert old == new
+
+
+def test_a_recording_that_begins_while_the_arm_moves(run: Path, tmp_path: Path) -> None:
+    bag, half = open_bag(run), tmp_path / "half"
+    session, info = session_of(bag, {})
+    role_of = {topic: role for role, topic in info.topics.items()}
+    encode = cdr.JointStateWriter(MODEL.joint_names)
+    writer, begun = RunWriter(half, session, info.topics, patient=True), False
+    for topic, now, data, _ in bag.messages():
+        role = role_of[topic]
+        if role == "cycle":
+            number, time, code, late, work, published = cdr.decode_cycle(data)
+            step = session.cycle(time)
+            if begun:
+                writer.write("joint_commands", time, encode.write(time + session.period, step.position, step.velocity))
+                writer.cycle(number, time, code, late, work, published)
+            elif number == 200:
+                writer.begin(session, time + 1)
+                begun = True
+        elif role == "events":
+            session.apply(str(cdr.decode(cdr.STRING, data).data))
+        elif role in INPUTS:
+            session.take(role, data, now)
+            if begun:
+                writer.write(role, now, data)
+    writer.close()
+    whole, result = replay(bag), replay(open_bag(half))
+    assert result.identical is True
+    assert result.commands == result.cycles == whole.cycles - 201
+    assert result.duration == pytest.approx((result.cycles - 1) / PANDA.rate, abs=1e-9)
+    moved = altered(half, tmp_path / "moved", lambda k, m: bytes([*m.data[:-1], m.data[-1] ^ 1])
+                    if (m.topic, k) == ("/joint_commands", 100) else m.data)  # fmt: skip
+    assert replay(open_bag(moved)).first_difference_s == pytest.approx(100 / PANDA.rate, abs=1e-9)
 
 
 @pytest.mark.parametrize("place", [-1, -57, 4], ids=["a velocity", "a position", "the stamp"])
