@@ -8,13 +8,11 @@ import wire
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from motions import arm, bundled, moved
+from test_session import START
 
 from ik_controller.kinematics.accelerate import HAS_NUMBA
 from ik_controller.messages.cdr import JointStateWriter
 from ik_controller.session import Session
-
-MS = 1_000_000
-START = 1_790_000_000_000 * MS
 
 pytestmark = pytest.mark.skipif(not HAS_NUMBA, reason="worked out together by compiled kernels only")
 
@@ -71,7 +69,7 @@ class Log:
             {"velocity_scale": 0.05},
             {"reference_mode": "interpolate"},
             {"feed_forward": False},
-            {"posture_gain": 0.0},
+            {"acceleration_scale": 0.3},
         ]
     ),
 )

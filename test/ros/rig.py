@@ -381,7 +381,7 @@ class Rig:
 
         def answer() -> Any:
             nonlocal again
-            # Fast DDS gives a process up that stands still for 20 s, and an answer under way is lost.
+            # On a machine that is held up for seconds, an answer may be lost.
             if time.monotonic() > again:
                 again = time.monotonic() + _AGAIN
                 asked.append(client.call_async(request))

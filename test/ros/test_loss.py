@@ -104,11 +104,11 @@ def test_the_end_while_waiting_for_a_robot(rig: Rig) -> None:
 
 def test_sigkill_loses_at_most_100_ms_and_the_rest_replays(rig: Rig) -> None:
     targets = figure_bag(rig.folder / "targets", 12.0)
-    rig.start_sim("--rate", "500")
-    node = rig.start_node(robot="panda", rate=500.0)
+    rig.start_sim("--rate", "1000")
+    node = rig.start_node(robot="panda", rate=1000.0)
     rig.until_status("holding")
     rig.start("stream", [*CLI, "stream", str(targets), "--loop"])
-    rig.until_new("joint_commands", lambda c: np.abs(c.velocity).max() > 0.1, "the arm to move")
+    rig.until_new("joint_commands", lambda c: np.abs(c.velocity).max() > 0.2, "the arm to move")
     rig.until_status("tracking")
     node.send(signal.SIGKILL)
     node.wait()
