@@ -6,7 +6,7 @@ numbers, so the bits are the same; a cycle for which they are not the whole stor
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,27 +14,12 @@ from numpy.typing import NDArray
 from ik_controller.control.bounded import CLOSEST
 from ik_controller.control.extrapolation import carry_on
 from ik_controller.control.gate import check
-from ik_controller.control.kernel import NOT_FINITE, SCALARS, tool_cycle
+from ik_controller.control.kernel import NOT_FINITE, SCALARS, rests_away, tool_cycle
 from ik_controller.control.reach import LAST, near_bound
 from ik_controller.control.reference import Reference
 from ik_controller.kinematics.accelerate import compiled
 
 Array = NDArray[np.float64]
-
-REST, AWAY = 1e-3, 1e-6  # at rest: a share of the speed limits; away: an error of the tool [m, rad]
-
-
-class Course(NamedTuple):
-    """How a pose stream goes on without a new sample: from `position` (3,) [m] and `rotation` (3, 3) by `twist` (6,)
-    [m/s, rad/s], which changes at `rate` (6,). Cycles begin `ahead` (k,) [s] after the sample, at these `times` [ns].
-    """
-
-    position: Array
-    rotation: Array
-    twist: Array
-    rate: Array
-    ahead: Array
-    times: list[int]
 
 
 class Ahead:
@@ -65,20 +50,6 @@ class Ahead:
         """Return that of the cycle taken last."""
         pose = self._poses[self.taken - 1]
         return Reference(pose[3], pose[:3], self._twists[self.taken - 1])
-
-
-@compiled
-def rests_away(v: Array, error: Array, speeds: Array) -> bool:
-    """Tell whether an arm at v (n,) is as good as at rest while there is an error (6,) that it would follow if it
-    could; `speeds` (n,): its limits.
-    """
-    for i in range(v.shape[0]):
-        if not abs(v[i]) <= REST * speeds[i]:
-            return False
-    for i in range(6):  # noqa: SIM110 (Numba compiles no generators)
-        if abs(error[i]) > AWAY:
-            return True
-    return False
 
 
 @compiled

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ik_controller.control.ahead import Ahead, Course, cycles_ahead, rests_away
+from ik_controller.control.ahead import Ahead, cycles_ahead
 from ik_controller.control.bounded import CLOSEST
 from ik_controller.control.closest import slide
+from ik_controller.control.extrapolation import Course
 from ik_controller.control.gate import Gate
 from ik_controller.control.kernel import (
     BRAKING,
@@ -25,6 +26,7 @@ from ik_controller.control.kernel import (
     NOT_FINITE,
     bounded_cycle,
     braking_factor,
+    rests_away,
     tool_is_free,
 )
 from ik_controller.control.law import Law

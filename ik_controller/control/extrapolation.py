@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,6 +11,19 @@ from ik_controller.kinematics.accelerate import compiled
 from ik_controller.kinematics.rotation_exp import rotation_exp
 
 Array = NDArray[np.float64]
+
+
+class Course(NamedTuple):
+    """How a pose stream goes on without a new sample: from `position` (3,) [m] and `rotation` (3, 3) by `twist` (6,)
+    [m/s, rad/s], which changes at `rate` (6,). Cycles begin `ahead` (k,) [s] after the sample, at these `times` [ns].
+    """
+
+    position: Array
+    rotation: Array
+    twist: Array
+    rate: Array
+    ahead: Array
+    times: list[int]
 
 
 @compiled

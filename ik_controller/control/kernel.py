@@ -39,6 +39,9 @@ SEEK_LIMIT = 10  # at most so fast towards the posture
 
 # Why a velocity was not reached: codes of `status.Limit` in its order.
 FREE, BY_VELOCITY, BY_ACCELERATION, BY_POSITION, BY_JERK, BY_TOOL_SPEED, BY_TOOL_ACCELERATION = range(7)
+# At rest: a share of the speed limits; away: an error of the tool [m, rad].
+_REST, _AWAY = 1e-3, 1e-6
+
 # How the velocity was found: 0 to 2 as in `bounded`, with s = 1 where no limit was met.
 NOT_FINITE = -1
 
@@ -80,6 +83,20 @@ def braking_factor(approach: Array, fastest: float, braking: Array) -> float:
         if ratio > start:
             beta = min(beta, (math.sqrt(lag * lag + 2.0 * ratio - start * start) - lag) / ratio)
     return beta
+
+
+@compiled
+def rests_away(v: Array, error: Array, speeds: Array) -> bool:
+    """Tell whether an arm at v (n,) is as good as at rest while there is an error (6,) that it would follow if it
+    could; `speeds` (n,): its limits.
+    """
+    for i in range(v.shape[0]):
+        if not abs(v[i]) <= _REST * speeds[i]:
+            return False
+    for i in range(6):  # noqa: SIM110 (Numba compiles no generators)
+        if abs(error[i]) > _AWAY:
+            return True
+    return False
 
 
 @compiled

@@ -16,8 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ik_controller.control.ahead import Course
-from ik_controller.control.extrapolation import agreed_rate, carry_on
+from ik_controller.control.extrapolation import Course, agreed_rate, carry_on
 from ik_controller.control.joint_path import JointPath
 from ik_controller.control.reference import Reference
 from ik_controller.control.segment import Segment
