@@ -14,7 +14,6 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ik_controller.control.ahead import Ahead
 from ik_controller.control.controller import Controller, Step
 from ik_controller.control.goal import Goal
 from ik_controller.control.obstacles import Scene
@@ -101,7 +100,6 @@ class Session:
         self._running = False
         self._restarting = False  # brakes to rest before it starts anew
         self._rest_since: int | None = None  # when a restarting arm's commands came to rest [ns]
-        self._ahead: Ahead | None = None  # cycles that are worked out
         self._set_times()
 
     def _set_times(self) -> None:
@@ -126,8 +124,6 @@ class Session:
                         f"none of the joints {choices(self.model.joint_names)}; the message has: {names}"
                     )
             else:
-                if self._ahead is not None:
-                    self.settle()
                 self._inputs.take(role, data, arrival, self.controller.position, self.controller.velocity)
                 if role in ("target_trajectory", "target_joint_trajectory"):
                     self.goal.begin()
@@ -139,6 +135,20 @@ class Session:
             if role != "joint_states":  # they are in no frame
                 self._inputs.frames.forget()
         return True
+
+    def joint_states(self, rows: NDArray[np.uint8]) -> Array | None:
+        """Return the joints (k, n) in joint states, bytes (k, length), that are all like the last one that was taken,
+        for `measure`; None where one is not, and `take` has to look at them.
+        """
+        return None if "joint_states" in self._refused else self._joint_states.read_all(rows)
+
+    def measure(self, q: Array, arrival: int) -> None:
+        """Take the joints as measured, q (n,), in a joint state that arrived at `arrival` [ns]."""
+        self._measured, self.feedback_arrival = q, arrival
+
+    def is_fresh(self, age: Any) -> Any:
+        """Tell whether a joint state is of use that arrived `age` [ns] ago; of many where that is an array."""
+        return age <= self._feedback_timeout
 
     def foreign_frame(self, role: str, data: bytes) -> str:
         """Return the frame of a target that the model does not know and TF may, "" where there is none: an event
@@ -161,7 +171,6 @@ class Session:
             content = None
         if not isinstance(content, dict):
             raise IkControllerError(f"not an event: {event[:60]!r}; need a JSON object with the key 'do'")
-        self.settle()
         do = content.get("do")
         if do == "pause":
             self.paused = True
@@ -209,7 +218,6 @@ class Session:
 
     def set_parameters(self, parameters: ControllerParameters) -> None:
         """Take new parameters between two cycles. Raises ParameterError; nothing changes then."""
-        self.settle()
         model = with_tool(self.model, self.parameters, parameters)
         self.controller.set_parameters(parameters, model)
         self.targets.set_parameters(parameters)
@@ -231,40 +239,10 @@ class Session:
 
     # -- one cycle
 
-    def expect(self, times: list[int]) -> None:
-        """Know that cycles follow at these times [ns], and that until then nothing arrives but joint states: then they
-        can be worked out together, and run by `passes`.
-        """
-        self.settle()
-        if self._running and not (self.paused or self._restarting or self.goal.under_way):
-            course = self.targets.course(times)
-            if course is not None:
-                self._ahead = self.controller.ahead(course, self.dt)
-
-    def passes(self, now: int) -> bool:
-        """Run the cycle that starts at `now` [ns] if it is the next one of those worked out; tell whether it is."""
-        ahead, arrival = self._ahead, self.feedback_arrival
-        if ahead is None or arrival is None or now - arrival > self._feedback_timeout or not ahead.next_is(now):
-            return False
-        ahead.taken += 1
-        return True
-
-    def settle(self) -> tuple[Array, Array, Array]:
-        """Go on after the cycles that passed; return their positions (k, n), velocities (k, n) and errors (k, 6)."""
-        ahead, self._ahead = self._ahead, None
-        n = self.model.n
-        states = np.empty((0, 2 * n + 12)) if ahead is None else ahead.states[1 : ahead.taken + 1]
-        if ahead is not None and ahead.taken:
-            self.status = self.controller.take(ahead)
-            self.reference = ahead.reference()
-        return states[:, :n], states[:, n : 2 * n], states[:, 2 * n + 6 :]
-
     def cycle(self, now: int) -> Step | None:
         """Run the cycle that starts at `now` [ns]; return its Step, None where nothing is to be commanded."""
-        if self._ahead is not None:
-            self.settle()
         arrival = self.feedback_arrival
-        fresh = arrival is not None and now - arrival <= self._feedback_timeout
+        fresh = arrival is not None and self.is_fresh(now - arrival)
         measured = self._measured if fresh else None
         if self._restarting and not self.controller.fault and self.controller.at_rest:
             # The arm lags behind its commands: it comes to rest too before it is asked where it is.
@@ -297,6 +275,22 @@ class Session:
         self.status = step.status
         return step
 
+    def cycles(self, times: list[int]) -> tuple[Array, Array, Array] | None:
+        """Run cycles that start at these times [ns] and between which nothing arrives but fresh joint states: as many
+        as can be worked out together, with the same bits as one by one.
+
+        Return their positions (k, n), velocities (k, n) and errors (k, 6); None where `cycle` has to run the first one.
+        """
+        if not self._running or self.paused or self._restarting or self.goal.under_way:
+            return None
+        course = self.targets.course(times)
+        gone = None if course is None else self.controller.go_ahead(course, self.dt)
+        if gone is None:
+            return None
+        states, self.reference, self.status = gone
+        n = self.model.n
+        return states[:, :n], states[:, n : 2 * n], states[:, 2 * n + 6 :]
+
     def _about_tool(self, reference: Reference, point: Array) -> Reference:
         """Return a twist of the tool's body at a point as that of the tool point, at the middle of the cycle."""
         assert reference.twist is not None and self.controller.position is not None  # noqa: PT018
@@ -309,7 +303,7 @@ class Session:
 
     def warm_up(self, *, together: bool = False) -> None:
         """Go once through every kind of cycle in scratch sessions: what compiles or is worked out on first use is done
-        before the first deadline, and this session is left as it is. `together`: those of `expect` too.
+        before the first deadline, and this session is left as it is. `together`: those of `cycles` too.
         """
         rest = np.clip(self.model.middle() + 0.1, self.model.lower, self.model.upper)
         at_bounds = np.where(np.isfinite(self.model.upper), self.model.upper, rest)
@@ -341,10 +335,10 @@ class Session:
         for role, data in targets:
             scratch.take("joint_states", state, now)
             scratch.take(role, data, now)
-            if together:
-                scratch.expect([now])
             for _ in range(3):
                 scratch.cycle(now)
+                now += self.period
+            if together and scratch.cycles([now]):
                 now += self.period
         scratch.apply('{"do": "pause"}')
         scratch.cycle(now)

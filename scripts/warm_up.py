@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ik_controller.recording.cycles import warm_up
 from ik_controller.robots import build_model, bundled_parameters
 from ik_controller.session import Session
 from ik_controller.share import robot_names
@@ -9,4 +10,4 @@ from ik_controller.share import robot_names
 if __name__ == "__main__":
     for name in robot_names():
         parameters = bundled_parameters(name)
-        Session(build_model(parameters), parameters).warm_up(together=True)
+        warm_up(Session(build_model(parameters), parameters))

@@ -16,40 +16,9 @@ from ik_controller.control.extrapolation import carry_on
 from ik_controller.control.gate import check
 from ik_controller.control.kernel import NOT_FINITE, SCALARS, rests_away, tool_cycle
 from ik_controller.control.reach import LAST, near_bound
-from ik_controller.control.reference import Reference
 from ik_controller.kinematics.accelerate import compiled
 
 Array = NDArray[np.float64]
-
-
-class Ahead:
-    """Cycles that are worked out: `states` (k + 1, 2n + 12) and the gate's `memories` (k + 1, 3, n), each beginning
-    with those before the first cycle; `outcomes`, what `tool_cycle` returned for each; `taken`: how many have been run.
-    """
-
-    __slots__ = ("_poses", "_times", "_twists", "memories", "outcomes", "states", "taken")
-
-    def __init__(
-        self,
-        times: list[int],
-        states: Array,
-        memories: Array,
-        poses: Array,
-        twists: Array,
-        outcomes: list[list[float]],
-    ) -> None:
-        """`times` [ns] at which the cycles begin; `poses` (k, 4, 3), `twists` (k, 6): their references."""
-        self.states, self.memories, self.outcomes, self.taken = states, memories, outcomes, 0
-        self._times, self._poses, self._twists = times, poses, twists
-
-    def next_is(self, time: int) -> bool:
-        """Tell whether the next cycle begins at that time [ns]."""
-        return self.taken < len(self.outcomes) and self._times[self.taken] == time
-
-    def reference(self) -> Reference:
-        """Return that of the cycle taken last."""
-        pose = self._poses[self.taken - 1]
-        return Reference(pose[3], pose[:3], self._twists[self.taken - 1])
 
 
 @compiled

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ik_controller.control.ahead import Ahead, cycles_ahead
+from ik_controller.control.ahead import cycles_ahead
 from ik_controller.control.bounded import CLOSEST
 from ik_controller.control.closest import slide
 from ik_controller.control.extrapolation import Course
@@ -174,9 +174,11 @@ class Controller:
         self._keep(np.concatenate((*self._gate.braking(dt), _ZERO)))
         return Step(self._q, self._v, np.zeros(6), Status(Code.FAULT, reason=self.fault))
 
-    def ahead(self, course: Course, dt: float) -> Ahead | None:
-        """Return the next cycles along a course, dt [s] each, for `take`: as many as nothing but the law has a say in;
-        None where that may be so in all of them.
+    def go_ahead(self, course: Course, dt: float) -> tuple[Array, Reference, Status] | None:
+        """Run the next cycles along a course, dt [s] each: as many as nothing but the law has a say in.
+
+        Return their states (k, 2n + 12): position, velocity, the tool's velocity, error; with the last one's reference
+        and status. None where `step` has to run the first one.
         """
         law, n, count = self._law, self._n, course.ahead.size
         plain = law.in_kernel and law.stack is None and self.parameters.integration_base == "commanded"
@@ -190,14 +192,14 @@ class Controller:
             law.chain, law.table, self._limits.table, self._gate.limits, self._limits.velocity, course[:5],
             law.feed_forward, self._limits.reserve, dt, states, memories, poses, twists, outcomes,
         )  # fmt: skip
-        return Ahead(course.times, states, memories, poses, twists, outcomes[:done].tolist()) if done else None
-
-    def take(self, ahead: Ahead) -> Status:
-        """Go on after the cycles that have been run of those worked out ahead; return the last one's status."""
-        how, scale, joint, limit, sigma = ahead.outcomes[ahead.taken - 1]
-        self._keep(ahead.states[ahead.taken])
-        self._gate.memory = ahead.memories[ahead.taken]
-        return followed(scale, LIMITS[int(limit)], int(joint), sigma < self._law.threshold, sigma, how != CLOSEST)
+        if not done:
+            return None
+        self._keep(states[done])
+        self._gate.memory = memories[done]
+        how, scale, joint, limit, sigma = outcomes[done - 1].tolist()
+        status = followed(scale, LIMITS[int(limit)], int(joint), sigma < law.threshold, sigma, how != CLOSEST)
+        pose = poses[done - 1]
+        return states[1 : done + 1], Reference(pose[3], pose[:3], twists[done - 1]), status
 
     def halt(self, reason: str) -> None:
         """Latch a fault that was found outside: from the next step on the arm brakes and holds."""

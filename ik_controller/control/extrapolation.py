@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 class Course(NamedTuple):
     """How a pose stream goes on without a new sample: from `position` (3,) [m] and `rotation` (3, 3) by `twist` (6,)
-    [m/s, rad/s], which changes at `rate` (6,). Cycles begin `ahead` (k,) [s] after the sample, at these `times` [ns].
+    [m/s, rad/s], which changes at `rate` (6,). Cycles begin `ahead` (k,) [s] after the sample.
     """
 
     position: Array
@@ -23,7 +23,6 @@ class Course(NamedTuple):
     twist: Array
     rate: Array
     ahead: Array
-    times: list[int]
 
 
 @compiled

@@ -328,7 +328,7 @@ class Targets:
             return None
         rate = _NO_CHANGE if self._acceleration is None else self._acceleration
         ahead = np.array([(time - self._delay - sample.time) * 1e-9 for time in times])
-        return Course(sample.position, sample.rotation, twist, rate, ahead, times)
+        return Course(sample.position, sample.rotation, twist, rate, ahead)
 
     def _pose_reference(self, time: int, dt: float) -> Reference:
         index = bisect.bisect_right(self._times, time)

@@ -141,9 +141,12 @@ def joint_order(wanted: Sequence[str], names: list[str]) -> list[int]:
     return [names.index(name) for name in wanted]
 
 
-def _parts(*sizes: tuple[int, int]) -> struct.Struct:
-    """Return what takes parts out of a message's bytes: of each the size, and how much is left out behind it."""
-    return struct.Struct("<" + "".join(f"{size}s{gap}x" for size, gap in sizes))
+def _parts(spans: Sequence[tuple[int, int]], length: int) -> struct.Struct:
+    """Return what takes parts (begin, end) out of a message of that length; nothing is left out before the first."""
+    ends = [begin for begin, _ in spans[1:]] + [length]
+    return struct.Struct(
+        "<" + "".join(f"{end - begin}s{to - end}x" for (begin, end), to in zip(spans, ends, strict=True))
+    )
 
 
 class StampedReader:
@@ -198,9 +201,11 @@ class JointStateReader:
         self._length = -1
         self._last = bytearray()  # the message that is read, and its positions: views are slow to make
         self._values = np.zeros(0)
+        self._at = 0
         self._order: NDArray[np.intp] | None = None  # None: as in the message, all of them
         self._parts = struct.Struct("")  # header, frame and names, with all counts: all but stamp and numbers
         self._learned: tuple[bytes, ...] = ()
+        self._mask = np.zeros(0, np.uint8)  # 255 at these bytes, 0 at the others
 
     def read(self, data: bytes) -> Array | None:
         """Return positions (n,) [rad or m] in the order of the joint names; None where none of them is in the message.
@@ -218,6 +223,21 @@ class JointStateReader:
             raise MessageError(f"position of '{self._names[index]}' is {values[index]}: need finite values")
         return values
 
+    def read_all(self, rows: NDArray[np.uint8]) -> Array | None:
+        """Return what `read` does of each of the messages (k, length), as (k, n); None where one is not just like the
+        last that was read, or in error.
+        """
+        if self._length < 0:  # none has been read
+            with contextlib.suppress(MessageError):
+                self._learn(rows[0].tobytes())
+        if rows.shape[1] != self._length or ((rows ^ np.frombuffer(self._last, np.uint8)) & self._mask).any():
+            return None
+        count = self._values.size
+        values: Array = rows[:, self._at : self._at + 8 * count].copy().view(_NUMBER)
+        if self._order is not None:
+            values = values.take(self._order, axis=1)
+        return values if np.abs(values).max(initial=0.0) < _ABSURD / count else None
+
     def _learn(self, data: bytes) -> bool:
         self._length = -1
         content = decode(JOINT_STATE, data)
@@ -234,13 +254,17 @@ class JointStateReader:
         end, at = _layout(data)
         in_order = tuple(names) == self._names
         self._order = None if in_order else np.array(order, dtype=np.intp)
-        self._last = bytearray(data)
+        self._last, self._at = bytearray(data), at
         self._values = np.frombuffer(self._last, _NUMBER, count, at)
         behind = at + 8 * count  # the count of velocities, their numbers, the count of efforts
         efforts = behind + 4
         if len(content.velocity):
             efforts += (4 - efforts) % 8 + 8 * len(content.velocity)
-        self._parts = _parts((4, 8), (end - 12, behind - end), (4, efforts - behind - 4), (4, len(data) - efforts - 4))
+        fixed = (0, 4), (12, end), (behind, behind + 4), (efforts, efforts + 4)
+        self._parts = _parts(fixed, len(data))
+        self._mask = np.zeros(len(data), np.uint8)
+        for begin, stop in fixed:
+            self._mask[begin:stop] = 255
         self._learned = self._parts.unpack(data)
         self._length = len(data)
         return True
@@ -313,3 +337,8 @@ def decode_cycle(data: bytes) -> tuple[int, int, int, int, int, int]:
     except struct.error:
         raise MessageError(f"not a cycle record: {len(data)} bytes, need {_CYCLE.size}") from None
     return values
+
+
+def decode_cycles(rows: NDArray[np.uint8]) -> NDArray[np.int64] | None:
+    """Return the fields (k, 6) of cycle records (k, length); None where they are none."""
+    return rows[:, 20:].copy().view("<i8") if rows.shape[1] == _CYCLE.size else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,16 +13,17 @@ from ik_controller.control.obstacles import SCENE_PARAMETERS, Scene
 from ik_controller.errors import BagError, ParameterError
 from ik_controller.messages import cdr
 from ik_controller.messages.inputs import INPUTS
-from ik_controller.recording.reader import BagReader, Message
+from ik_controller.recording.columns import Columns
+from ik_controller.recording.reader import BagReader, Message, Records
 from ik_controller.recording.run import RunInfo, RunWriter
 from ik_controller.robots import build_model
 from ik_controller.session import Session
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 _NEEDED = (*INPUTS, "events", "joint_commands", "command_output", "cycle")
-_PASSIVE = frozenset(("joint_states", "joint_commands", "command_output"))  # they change nothing about what is followed
-_TOGETHER = 64  # cycles that are worked out together at most
+_NEVER = -(1 << 62)  # [ns]
 
 
 class Cycle(NamedTuple):
@@ -38,12 +39,12 @@ class Cycle(NamedTuple):
 
 
 class Stretch(NamedTuple):
-    """Replayed cycles (k) that followed a pose and were worked out together: their records as `cdr.decode_cycle` gives
-    them, the recorded commands' bytes, and the commands and errors now.
+    """Replayed cycles (k) that followed a pose and were worked out together: their records, in the order of
+    `cdr.CYCLE_FIELDS`, the recorded commands' bytes, and the commands and errors now.
     """
 
-    records: list[tuple[int, ...]]
-    recorded: list[bytes | None]
+    records: Integers  # (k, 6)
+    recorded: list[bytes]
     sent: list[bytes | None]
     position: Array  # (k, n)
     velocity: Array  # (k, n)
@@ -71,90 +72,165 @@ def cycles(
     """Run the recorded run through `session` and yield cycle by cycle; `changes` stay in force whatever was
     recorded; `output` gets the inputs and events.
     """
-    for cycle in _run(bag, session, info, changes, output, together=False):
-        assert isinstance(cycle, Cycle)
-        yield cycle
+    run = _Run(session, info, changes, output)
+    return run.one_by_one(bag.messages(run.topics_in(bag)))
 
 
 def stretches(bag: BagReader, session: Session, info: RunInfo, changes: Mapping[str, Any]) -> Iterator[Cycle | Stretch]:
-    """Run the recorded run as `cycles` does, for who need not look at the session after each cycle: that takes half the
-    time.
+    """Run the recorded run as `cycles` does, for who need not look at the session after each cycle: that takes a
+    fraction of the time where there is Numba.
     """
-    return _run(bag, session, info, changes, None, together=True)
+    run = _Run(session, info, changes)
+    for records in bag.records(run.topics_in(bag)):
+        yield from run.chunk(records)
 
 
-def _run(
-    bag: BagReader,
-    session: Session,
-    info: RunInfo,
-    changes: Mapping[str, Any],
-    output: RunWriter | None,
-    *,
-    together: bool,
-) -> Iterator[Cycle | Stretch]:
-    role_of = {topic: role for role, topic in info.topics.items() if role in _NEEDED}
-    present = {topic.name for topic in bag.topics}
-    recorded: bytes | None = None
-    sent: bytes | None = None
-    new, take, run, passes = tuple.__new__, session.take, session.cycle, session.passes
-    for messages, records in _between_targets(bag.messages([name for name in role_of if name in present]), role_of):
-        expected = False
-        count = passed = 0
-        commands: list[bytes | None] = []
-        others: list[bytes | None] = []
+def warm_up(session: Session) -> None:
+    """Have compiled what `stretches` takes; the session is left as it is."""
+    session.warm_up(together=True)
+    Columns.of(b"", np.zeros(1, np.int64))
+
+
+class _Steady(NamedTuple):
+    """Cycles (k) that all have a command, and what else came to them; no events."""
+
+    records: Integers  # (k, 6)
+    times: list[int]
+    recorded: list[bytes]  # commands
+    sent: list[bytes | None]  # and what was sent instead
+    targets: list[tuple[int, Message]]  # after how many of the cycles
+    joints: Array  # (j, n) of joint states
+    arrivals: list[int]  # theirs [ns]
+    states: list[int]  # how many of them came before each cycle
+    fresh: list[bool]  # is the last of them, in each cycle?
+
+
+class _Run:
+    """Runs what was recorded through a session."""
+
+    def __init__(
+        self, session: Session, info: RunInfo, changes: Mapping[str, Any], output: RunWriter | None = None
+    ) -> None:
+        self._session, self._changes, self._output = session, changes, output
+        self._role_of = {topic: role for role, topic in info.topics.items() if role in _NEEDED}
+        self._topics = ["", *self._role_of]  # by kind of message
+        self._kind_of = {role: kind for kind, role in enumerate(self._role_of.values(), 1)}
+        self._recorded: bytes | None = None  # the command of the cycle to come
+        self._sent: bytes | None = None
+
+    def topics_in(self, bag: BagReader) -> list[str]:
+        """Return the topics of a bag that matter here."""
+        return [topic.name for topic in bag.topics if topic.name in self._role_of]
+
+    def one_by_one(self, messages: Iterable[Message]) -> Iterator[Cycle]:
+        """Run each message and cycle for itself."""
+        session, output, role_of = self._session, self._output, self._role_of
         for topic, now, data, _ in messages:
             role = role_of[topic]
             if role == "joint_commands":
-                recorded = data
+                self._recorded = data
             elif role == "cycle":
-                if together and not expected:
-                    session.expect([record[1] for record in records])
-                    expected = True
-                index, at, _, late, work, _ = records[count]
-                count += 1
-                if expected and passes(at):
-                    commands.append(recorded)
-                    others.append(sent)
-                else:
-                    if commands:
-                        yield Stretch(records[passed : count - 1], commands, others, *session.settle())
-                        commands, others = [], []
-                    # NamedTuple's own constructor takes twice as long
-                    yield new(Cycle, (index, at, late, work, run(at), recorded, sent))
-                    passed = count
-                recorded = sent = None
+                index, at, _, late, work, _ = cdr.decode_cycle(data)
+                yield Cycle(index, at, late, work, session.cycle(at), self._recorded, self._sent)
+                self._recorded = self._sent = None
             elif role == "command_output":
-                sent = data
+                self._sent = data
             elif role == "events":
                 event = str(cdr.decode(cdr.STRING, data).data)
                 session.apply(event)
-                if changes:
-                    session.set_parameters(session.parameters.replace(changes))
+                if self._changes:
+                    session.set_parameters(session.parameters.replace(self._changes))
                 if output is not None:
                     output.event(now, event)
             else:
-                take(role, data, now)
+                session.take(role, data, now)
                 if output is not None:
                     output.write(role, now, data)
-        if commands:
-            yield Stretch(records[passed:count], commands, others, *session.settle())
+
+    def chunk(self, records: Records) -> Iterator[Cycle | Stretch]:
+        """Run the messages of a chunk: those of its last cycles together, as many as have a command and no event."""
+        kinds = np.full(max(records.names, default=0) + 1, -1)
+        for channel, topic in records.names.items():
+            kinds[channel] = 0 if topic is None else self._topics.index(topic)
+        columns = Columns.of(records.data, kinds)
+        if columns is None:
+            for messages in records.messages():
+                yield from self.one_by_one(messages)
+            return
+        ends, commands, sent, events = (
+            self._where(columns, role) for role in ("cycle", "joint_commands", "command_output", "events")
+        )
+        odd = (_count(commands, ends) != 1) | (_count(events, ends) > 0)
+        if sent.size:
+            odd |= _count(sent, ends) != 1
+        begin, end = np.max(ends[odd], initial=-1) + 1, np.max(ends, initial=-1) + 1
+        yield from self.one_by_one(columns.part(0, begin).messages(self._topics))
+        whole = columns.part(begin, end)
+        steady = self._steady(whole)
+        if steady is None:
+            yield from self.one_by_one(whole.messages(self._topics))
+        else:
+            yield from self._together(steady)
+            self._recorded = self._sent = None
+        yield from self.one_by_one(columns.part(end, len(columns.kind)).messages(self._topics))
+
+    def _where(self, columns: Columns, role: str) -> Integers:
+        return np.flatnonzero(columns.kind == self._kind_of.get(role, -1))
+
+    def _steady(self, columns: Columns) -> _Steady | None:
+        """Take whole cycles apart that have a command each and no event; None where they have to be run one by one."""
+        session = self._session
+        ends, states = self._where(columns, "cycle"), self._where(columns, "joint_states")
+        commands, sent = self._where(columns, "joint_commands"), self._where(columns, "command_output")
+        rows, joint_rows = columns.rows_at(ends), columns.rows_at(states)
+        records = None if rows is None else cdr.decode_cycles(rows)
+        joints = None if joint_rows is None else session.joint_states(joint_rows)
+        if records is None or joints is None:
+            return None
+        before = np.searchsorted(states, ends)
+        arrivals = columns.time[states]
+        known = np.append(_NEVER if session.feedback_arrival is None else session.feedback_arrival, arrivals)
+        others = np.delete(np.arange(len(columns.kind)), np.concatenate((ends, states, commands, sent)))
+        picked = Columns(columns.data, *(column[others] for column in columns[1:])).messages(self._topics)
+        return _Steady(
+            records,
+            records[:, 1].tolist(),
+            columns.bytes_at(commands),
+            [*columns.bytes_at(sent)] or [None] * len(commands),
+            list(zip(np.searchsorted(ends, others).tolist(), picked, strict=True)),
+            joints,
+            arrivals.tolist(),
+            before.tolist(),
+            session.is_fresh(records[:, 1] - known[before]).tolist(),
+        )
+
+    def _together(self, steady: _Steady) -> Iterator[Cycle | Stretch]:
+        """Run cycles, those between two targets together as far as that can be."""
+        done = 0
+        for count, message in steady.targets:
+            yield from self._between(steady, done, count)
+            self._session.take(self._role_of[message.topic], message.data, message.log_time_ns)
+            done = count
+        yield from self._between(steady, done, len(steady.times))
+        self._session.measure(steady.joints[-1], steady.arrivals[-1])
+
+    def _between(self, steady: _Steady, begin: int, end: int) -> Iterator[Cycle | Stretch]:
+        """Run cycles without targets between them."""
+        session, recorded, sent = self._session, steady.recorded, steady.sent
+        if begin < end and all(steady.fresh[begin:end]):
+            gone = session.cycles(steady.times[begin:end])
+            if gone is not None:
+                part = slice(begin, begin + len(gone[0]))
+                yield Stretch(steady.records[part], recorded[part], sent[part], *gone)
+                begin = part.stop
+        for k in range(begin, end):
+            state = steady.states[k] - 1
+            if state >= 0:
+                session.measure(steady.joints[state], steady.arrivals[state])
+            number, at, _, late, work, _ = steady.records[k].tolist()
+            yield Cycle(number, at, late, work, session.cycle(at), recorded[k], sent[k])
 
 
-def _between_targets(
-    messages: Iterator[Message], role_of: Mapping[str, str]
-) -> Iterator[tuple[list[Message], list[tuple[int, ...]]]]:
-    """Yield the messages with their cycle records, decoded, in lists within which what changes the motion, targets and
-    events, stands before the first cycle.
-    """
-    stretch: list[Message] = []
-    records: list[tuple[int, ...]] = []
-    decode = cdr.decode_cycle
-    for message in messages:
-        role = role_of[message[0]]
-        if role == "cycle":
-            records.append(decode(message[2]))
-        elif len(records) == _TOGETHER or (records and role not in _PASSIVE):
-            yield stretch, records
-            stretch, records = [], []
-        stretch.append(message)
-    yield stretch, records
+def _count(indices: Integers, ends: Integers) -> Integers:
+    """Return how many of the messages there are in each cycle, whose records are at `ends`."""
+    return np.bincount(np.searchsorted(ends, indices), minlength=ends.size + 1)[: ends.size]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -28,6 +27,29 @@ class Message(NamedTuple):
     log_time_ns: int
     data: bytes
     sequence: int
+
+
+class Records(NamedTuple):
+    """Records as they stand in a file, decompressed. `names`: topics by channel id, None for one to leave out; `cut`:
+    the last record may be cut off.
+    """
+
+    path: Path
+    data: bytes
+    names: dict[int, str | None]
+    cut: bool = False
+
+    def messages(self) -> Iterator[list[Message]]:
+        """Yield the messages, all at once. Raises BagError behind them where the records make no sense further on."""
+        batch: list[Message] = []
+        try:
+            _take_messages(self.data, self.names, batch)
+        except DAMAGE as error:
+            yield batch
+            if not self.cut:
+                raise _damaged(self.path, error) from None
+        else:
+            yield batch
 
 
 @dataclass(frozen=True)
@@ -83,7 +105,11 @@ class BagReader:
         Raises BagError at a damaged chunk.
         """
         # Flattened in C: a generator within a generator would take as long as the reading itself.
-        return chain.from_iterable(batch for file in self.files for batch in _file_messages(file, topics))
+        return chain.from_iterable(batch for records in self.records(topics) for batch in records.messages())
+
+    def records(self, topics: Collection[str] | None = None) -> Iterator[Records]:
+        """Yield the records that the messages (of these topics, or all) stand in, chunk by chunk."""
+        return chain.from_iterable(_file_records(file, topics) for file in self.files)
 
 
 def open_bag(path: Path | str) -> BagReader:
@@ -135,44 +161,36 @@ def segment_paths(folder: Path) -> list[Path]:
     return known + [path for path in found if path not in known]
 
 
-def _file_messages(file: McapFile, topics: Collection[str] | None) -> Iterator[list[Message]]:
-    """Yield the messages chunk by chunk."""
+def _damaged(path: Path, error: Exception) -> BagError:
+    return BagError(f"bag '{path}' is damaged ({error}); try `ik_controller recover`")
+
+
+def _file_records(file: McapFile, topics: Collection[str] | None) -> Iterator[Records]:
+    """Yield the records of a file chunk by chunk."""
     try:
         with file.path.open("rb", buffering=1 << 18) as stream:
-            yield from _stream_messages(file, stream, topics)
+            yield from _stream_records(file, stream, topics)
     except OSError as error:
         raise BagError(f"cannot read bag '{file.path}': {error.strerror}") from None
     except DAMAGE as error:
-        raise BagError(f"bag '{file.path}' is damaged ({error}); try `ik_controller recover`") from None
+        raise _damaged(file.path, error) from None
 
 
-def _stream_messages(file: McapFile, stream: BinaryIO, topics: Collection[str] | None) -> Iterator[list[Message]]:
+def _stream_records(file: McapFile, stream: BinaryIO, topics: Collection[str] | None) -> Iterator[Records]:
     names = {
         channel.id: channel.topic if topics is None or channel.topic in topics else None
         for channel in file.channels.values()
     }
     for opcode, _, length in file.records(stream):
         if opcode == Opcode.CHUNK:
-            data = decompress(parse(Chunk, stream.read(length)))
+            yield Records(file.path, decompress(parse(Chunk, stream.read(length))), names)
         elif opcode == Opcode.MESSAGE:
-            data = b"\x05" + length.to_bytes(8, "little") + stream.read(length)
+            yield Records(file.path, b"\x05" + length.to_bytes(8, "little") + stream.read(length), names)
         elif opcode == Opcode.DATA_END:
             return
-        else:
-            continue
-        batch: list[Message] = []
-        try:
-            _take_messages(data, names, batch)
-        except DAMAGE:
-            yield batch  # what stands before the damage
-            raise
-        yield batch
     if file.complete:
         raise ValueError("records end before the summary")
-    batch = []
-    with contextlib.suppress(*DAMAGE):  # its last message is cut off too
-        _take_messages(file.cut_chunk(stream), names, batch)
-    yield batch
+    yield Records(file.path, file.cut_chunk(stream), names, cut=True)
 
 
 def _take_messages(data: bytes, names: dict[int, str | None], batch: list[Message]) -> None:

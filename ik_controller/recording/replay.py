@@ -10,7 +10,7 @@ import contextlib
 import gc
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 from ik_controller.control.controller import Step
 from ik_controller.control.status import Code
 from ik_controller.errors import BagError, IkControllerError
+from ik_controller.kinematics.accelerate import HAS_NUMBA
 from ik_controller.messages import cdr
 from ik_controller.messages.commands import CommandWriter
 from ik_controller.parameters import ControllerParameters
-from ik_controller.recording.cycles import Cycle, Stretch, cycles, session_of, stretches
+from ik_controller.recording.cycles import Cycle, Stretch, cycles, session_of, stretches, warm_up
 from ik_controller.recording.provenance import code, digest, software
 from ik_controller.recording.reader import BagReader
 from ik_controller.recording.run import RunInfo, RunWriter
@@ -140,8 +141,8 @@ def replay(
     first = last = 0
     before: Array | None = None
     tracking, period = Code.TRACKING, session.period
-    together = writer is None and watch is None
-    session.warm_up(together=together)
+    together = HAS_NUMBA and writer is None and watch is None
+    warm_up(session) if together else session.warm_up()
     gc.collect()
     gc.freeze()  # what is there by now need not be looked through again and again while cycles pass
     begin = time.perf_counter()
@@ -153,11 +154,11 @@ def replay(
         passing = each if watch is None else watch(each, session)
     for cycle in passing:
         if result.cycles == 0:
-            first = comparison.first = cycle.records[0][1] if isinstance(cycle, Stretch) else cycle.time
+            first = comparison.first = cycle.records[0, 1].item() if isinstance(cycle, Stretch) else cycle.time
         if isinstance(cycle, Stretch):
-            last = cycle.records[-1][1]
+            last = cycle.records[-1, 1].item()
             result.cycles += len(cycle.records)
-            result.missed += sum(record[3] > period for record in cycle.records)
+            result.missed += int((cycle.records[:, 3] > period).sum())
             comparison.add_stretch(cycle)
             result.errors.add(cycle.error)
             before = cycle.position[-1]
@@ -243,7 +244,7 @@ class _Comparison:
         self._begin()
 
     def _begin(self) -> None:
-        self._cycles: list[tuple[int, int]] = []  # number and time [ns]
+        self._cycles: list[Sequence[int]] = []  # number and time [ns]
         self._recorded: list[bytes | None] = []
         self._sent: list[bytes | None] = []
         self._positions: list[Array] = []  # one cycle behind the other
@@ -263,7 +264,7 @@ class _Comparison:
 
     def add_stretch(self, stretch: Stretch) -> None:
         """Take cycles that all have a command."""
-        self._cycles += [(record[0], record[1]) for record in stretch.records]
+        self._cycles += stretch.records[:, :2].tolist()
         self._recorded += stretch.recorded
         self._sent += stretch.sent
         self._take(stretch.position.ravel(), stretch.velocity.ravel())

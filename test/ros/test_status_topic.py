@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import resource
 import signal
 import sys
@@ -131,12 +132,13 @@ def twist(x: float = 0.0, z: float = 0.0) -> TwistStamped:
     return message
 
 
-def pose(x: float, y: float, z: float, frame: str = "panda_link0") -> PoseStamped:
-    """Return a pose with the tool pointing down."""
+def pose(x: float, y: float, z: float, frame: str = "panda_link0", turn: float = 0.0) -> PoseStamped:
+    """Return a pose with the tool pointing down, turned about the vertical by an angle [rad]."""
     message = PoseStamped()
     message.header.frame_id = frame
     message.pose.position.x, message.pose.position.y, message.pose.position.z = x, y, z
-    message.pose.orientation.x, message.pose.orientation.w = 1.0, 0.0
+    message.pose.orientation.x, message.pose.orientation.y = math.cos(0.5 * turn), math.sin(0.5 * turn)
+    message.pose.orientation.w = 0.0
     return message
 
 
@@ -289,8 +291,9 @@ def _(rig: Rig) -> Iterator[tuple[str, str]]:
 
 @provokes("infeasible")
 def _(rig: Rig) -> Iterator[tuple[str, str]]:
-    """Now left, now right behind the arm, out of reach: it slides along its joints' bounds."""
-    with rig.sending("target_pose", lambda: pose(-1.5, 0.5 if time.monotonic() % 2.0 < 1.0 else -0.5, 0.0)):
+    """Turned on and on, further than the wrist can: it slides along its joints' bounds."""
+    begin = time.monotonic()
+    with rig.sending("target_pose", lambda: pose(0.4, 0.0, 0.4, turn=-0.5 * (time.monotonic() - begin))):
         yield "the wanted direction cannot be kept", "status"
 
 
