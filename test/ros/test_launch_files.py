@@ -149,7 +149,7 @@ def test_an_arm_by_its_drivers_topics(rig: Rig, start: Start) -> None:
         namespace="left",
         name="arm",
     )
-    rig.until(lambda: rig.heard["commands"], "commands")
+    rig.until(lambda: rig.heard["commands"] and rig.heard["driver"], "commands, and the driver")
     np.testing.assert_allclose(rig.heard["commands"][0].data, rig.heard["driver"][0].position, atol=1e-3)
     names = ("gain", "rate", "record")
     assert [rig.get_parameter(name, "/left/arm") for name in names] == [[20.0], 100.0, False]
