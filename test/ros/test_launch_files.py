@@ -113,7 +113,8 @@ def test_documented_lines_have_arguments_that_exist(line: str) -> None:
 
 
 def test_demo_follows_its_targets_and_ends(rig: Rig, start: Start) -> None:
-    targets = str(figure_bag(rig.folder / "targets", 1.0))
+    # A node that gets no processor for a second takes in the targets of that second at once, and then the order to end.
+    targets = str(figure_bag(rig.folder / "targets", 4.0))
     streamer, *others = start("demo", targets=targets, rate="250", namespace="cell")
     rig.until(lambda: streamer.popen.poll() is not None, "the targets to be sent")
     end([streamer, *others])
