@@ -361,8 +361,13 @@ class Controller:
         if not share > 0.0:
             return None
         limits.update(self._q, self._v, dt, table)
-        before = out[n : 2 * n]
+        before, bounded = out[n : 2 * n], not tool_is_free(law.table)
+        if bounded:
+            closer = law.bound_approach(closer, jacobian)
         velocity = before + share * (np.fmin(np.fmax(closer, limits.low), limits.high) - before)
+        if bounded:
+            way = law.tool_share(self._v, velocity, jacobian, self._state[2 * n : 2 * n + 6], dt)
+            velocity = limits.part_way(self._v, velocity, way)
         out[: 2 * n + 6] = np.concatenate((self._q + dt * velocity, velocity, jacobian @ velocity))
         return CLOSEST, joint, BY_POSITION
 

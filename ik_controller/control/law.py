@@ -149,17 +149,31 @@ class Law:
         excess = 2.0 * longer(turning, linear, angular)
         if excess > 1.0:
             most = min(most, float(np.linalg.norm(v) / (np.linalg.norm(wanted) * math.sqrt(excess))))
-        change = jacobian @ (most * wanted - v)
-        share = 1.0
-        for part, most_change in ((slice(0, 3), linear), (slice(3, 6), angular)):
-            # The largest σ with |turning + σ change| ≤ the bound.
-            square = float(change[part] @ change[part])
-            if square > 0.0 and most_change < math.inf:
-                middle = -float(turning[part] @ change[part]) / square
-                rest = middle * middle + (most_change**2 - float(turning[part] @ turning[part])) / square
-                share = min(share, max(middle + math.sqrt(max(rest, 0.0)), 0.0))
+        share = self.tool_share(v, most * wanted, jacobian, last, dt)
         by = BY_TOOL_ACCELERATION if share < 1.0 else BY_TOOL_SPEED if most < 1.0 else FREE
         return v + share * (most * wanted - v), by
+
+    def bound_approach(self, velocity: Array, jacobian: Array) -> Array:
+        """Return a velocity (n,) that decays towards a target, slowed as a whole to what the tool can brake from and to
+        its speeds.
+        """
+        tool, bounds = jacobian @ velocity, self.table[SCALARS]
+        share = stoppable_share(tool, self.table)
+        return share / max(share * longer(tool, bounds[TOOL_SPEED], bounds[TOOL_SPEED + 1]), 1.0) * velocity
+
+    def tool_share(self, start: Array, end: Array, jacobian: Array, last: Array, dt: float) -> float:
+        """Return how far the velocity may go from `start` to `end` (n,) for the tool's accelerations after ẋ_last (6,):
+        the share, 1 for all the way; where they allow none, that which comes nearest.
+        """
+        linear, angular = self.table[SCALARS, TOOL_ACCELERATION : TOOL_ACCELERATION + 2] * dt
+        offset, change, share = jacobian @ start - last, jacobian @ (end - start), 1.0
+        for part, most in ((slice(0, 3), linear), (slice(3, 6), angular)):
+            square = float(change[part] @ change[part])
+            if square > 0.0 and most < math.inf:
+                middle = -float(offset[part] @ change[part]) / square
+                rest = middle * middle + (most * most - float(offset[part] @ offset[part])) / square
+                share = min(share, max(middle + math.sqrt(max(rest, 0.0)), 0.0))
+        return share
 
     def tool_keeps(self, tool_velocity: Array, dt: float) -> float:
         """Return the share of a tool velocity (6,) that its accelerations leave at least after braking for dt [s]."""

@@ -119,6 +119,17 @@ class JointLimits:
         """Tell whether a joint at rest, its last acceleration a (n,), may stay so."""
         return not self.jerky or bool((np.abs(a) <= self.jerk * dt * (1.0 + 1e-9)).all())
 
+    def part_way(self, start: Array, end: Array, share: float) -> Array:
+        """Return the velocity (n,) that share of the way from `start` to `end`, which is within this cycle's limits; it
+        goes further where they ask for that.
+        """
+        before, after = (np.concatenate((v - self.high, self.low - v)) for v in (start, end))
+        over = before > 0.0
+        needed = before[over] / np.fmax(before[over] - after[over], before[over])
+        velocity: Array = start + max(share, needed.max(initial=0.0)) * (end - start)
+        np.clip(velocity, self.low, self.high, out=velocity)
+        return velocity
+
     def which(self, joint: int, wanted: float, v: Array, dt: float) -> Limit:
         """Return which limit of `joint` keeps it from the `wanted` velocity; for the status."""
         return LIMITS[held_by(joint, wanted, v, dt, self._used, self._reach)]

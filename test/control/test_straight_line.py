@@ -192,3 +192,25 @@ def test_the_tools_own_bounds_hold_towards_joint_targets_too():
     assert_tool_bounds_hold(poses, dt)
     assert {Limit.TOOL_SPEED, Limit.TOOL_ACCELERATION} <= limits
     np.testing.assert_allclose(step.position, target, atol=1e-6)
+
+
+@pytest.mark.parametrize("change", [[-0.9, 0.3, -0.2, 0, 2.0, 0], [-1.5, 0.2, 0, 0, 0, 0]])
+def test_the_tools_own_bounds_hold_beyond_the_joints_bounds_too(change):
+    """Sliding to the closest approach, where joints come to their bounds: these must brake harder, now and then."""
+    robot = bundled("panda")
+    controller = started(robot, **BOUNDS)
+    home = robot.model.forward(robot.home)
+    target = moved(home, np.array(change, dtype=float))
+    poses, dt, slid = [home], 1e-3, 0
+    for _ in range(8000):
+        step = controller.step(controller.position, Reference.pose(target), dt)
+        slid += not step.status.feasible
+        poses.append(robot.model.forward(step.position))
+    twists = np.array([difference(then, now) / dt for now, then in pairwise(poses)])
+    changes = np.diff(twists, axis=0) / dt
+    for part, kind in ((slice(0, 3), "linear"), (slice(3, 6), "angular")):
+        assert np.linalg.norm(twists[:, part], axis=1).max() <= BOUNDS[f"tool_{kind}_speed"] * 1.1
+        harder = np.linalg.norm(changes[:, part], axis=1) > BOUNDS[f"tool_{kind}_acceleration"] * 1.1
+        assert harder.mean() < 0.02
+    assert slid > 500
+    assert np.abs(step.velocity).max() < 1e-4
