@@ -1,11 +1,13 @@
 """The node `ik_controller`: a lifecycle node around one arm's runs.
 
-Threads: this node's executor (`serve`: parameters, services, transitions), and while it is active the loop and the
-recorder's writer.
+Threads: this node's executor (`serve`: parameters, services, transitions), while it is active the loop and the
+recorder's writer, and one that tells the status while the executor's is compiling.
 """
 
 from __future__ import annotations
 
+import threading
+import time
 import traceback
 from collections.abc import Callable
 from typing import Any
@@ -34,6 +36,7 @@ from ik_controller.ros.runner import Runner
 from ik_controller.session import Session
 
 _STATUS_PERIOD = 0.1  # [s] of ~/status while the node is not active
+_PREPARING = "getting the control loop ready; the very first time it is compiled, for a minute or two"
 
 
 class ControllerNode(LifecycleNode):  # type: ignore[misc]
@@ -167,12 +170,15 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
     def _build(self, model: RobotModel) -> None:
         """Take up a model. Raises ParameterError where parameters do not fit it."""
         session = Session(model, self.parameters)
-        self.get_logger().info("preparing the loop; the very first time it is compiled, for half a minute")
+        self.get_logger().info(_PREPARING)
         self.preparing = True
+        telling = threading.Thread(target=self._tell_preparing, name=f"preparing {self.get_name()}")
+        telling.start()
         try:
             session.warm_up()
         finally:
             self.preparing = False
+            telling.join()
         for assumption in model.assumptions:
             self.get_logger().warning(assumption)
         self.model = model
@@ -325,17 +331,26 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
 
     # -- telling while there is no loop
 
+    def _tell_preparing(self) -> None:
+        """Tell the status while the executor's thread has no time for it."""
+        while self.preparing:
+            self._tell_idle()
+            time.sleep(_STATUS_PERIOD)
+
     def _tell_idle(self) -> None:
         if self.runner is not None:
             return
-        if self.model is not None:
+        state = "preparing" if self.preparing else self.state
+        if self.preparing:
+            why = _PREPARING
+        elif self.model is not None:
             why = "nothing is commanded until it is activated"
-        elif self.state == "finalized":
+        elif state == "finalized":
             why = "shut down"
         elif self._failure is not None:
             why = str(self._failure)
         else:
             why = "waiting for the topic robot_description" if self._urdf is None else "waiting to be configured"
-        account = monitor.idle(self.state, why, self.model.robot_name if self.model else "")
+        account = monitor.idle(state, why, self.model.robot_name if self.model else "")
         self._status.tell(self.get_clock().now().nanoseconds, account, self._told % 10 == 0)
         self._told += 1

@@ -29,6 +29,9 @@ REASONS: dict[str, Reason] = {
         "No robot has been taken up: robot_description has not come, or does not fit the parameters.",
         "Start robot_state_publisher, or correct what the message names; without autostart: `configure`.",
     ),
+    "preparing": Reason(
+        STALE, "The control loop is got ready, and the very first time compiled.", "Wait: a second, or a minute or two."
+    ),
     "inactive": Reason(WARN, "Configured, and nothing is commanded.", "`activate`."),
     "finalized": Reason(STALE, "Shut down by its lifecycle service.", "End the process."),
     "waiting": Reason(

@@ -155,6 +155,15 @@ def _(rig: Rig) -> Iterator[tuple[str, str]]:
     rig.until_status("holding")
 
 
+@provokes("preparing")
+def _(rig: Rig) -> Iterator[tuple[str, str]]:
+    for change in ("deactivate", "cleanup", "configure"):
+        assert rig.change_state(change)
+    yield "getting the control loop ready", "status"
+    assert rig.change_state("activate")
+    rig.until_status("holding")
+
+
 @provokes("inactive")
 def _(rig: Rig) -> Iterator[tuple[str, str]]:
     assert rig.change_state("deactivate")
