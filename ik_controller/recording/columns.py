@@ -35,10 +35,9 @@ class Columns(NamedTuple):
         count = _take_heads(np.frombuffer(data, np.uint8), kinds, rows)
         return None if count < 0 else cls(data, *rows[:count].T.copy())
 
-    def part(self, begin: int, end: int) -> Columns:
+    def part(self, which: slice | Integers) -> Columns:
         """Return some of the messages."""
-        part = slice(begin, end)
-        return Columns(self.data, self.kind[part], self.time[part], self.begin[part], self.end[part])
+        return Columns(self.data, self.kind[which], self.time[which], self.begin[which], self.end[which])
 
     def bytes_at(self, which: Integers) -> list[bytes]:
         """Return the data of some messages."""

@@ -164,15 +164,15 @@ class _Run:
         if sent.size:
             odd |= _count(sent, ends) != 1
         begin, end = np.max(ends[odd], initial=-1) + 1, np.max(ends, initial=-1) + 1
-        yield from self.one_by_one(columns.part(0, begin).messages(self._topics))
-        whole = columns.part(begin, end)
+        yield from self.one_by_one(columns.part(slice(begin)).messages(self._topics))
+        whole = columns.part(slice(begin, end))
         steady = self._steady(whole)
         if steady is None:
             yield from self.one_by_one(whole.messages(self._topics))
         else:
             yield from self._together(steady)
             self._recorded = self._sent = None
-        yield from self.one_by_one(columns.part(end, len(columns.kind)).messages(self._topics))
+        yield from self.one_by_one(columns.part(slice(end, None)).messages(self._topics))
 
     def _where(self, columns: Columns, role: str) -> Integers:
         return np.flatnonzero(columns.kind == self._kind_of.get(role, -1))
@@ -191,13 +191,12 @@ class _Run:
         arrivals = columns.time[states]
         known = np.append(_NEVER if session.feedback_arrival is None else session.feedback_arrival, arrivals)
         others = np.delete(np.arange(len(columns.kind)), np.concatenate((ends, states, commands, sent)))
-        picked = Columns(columns.data, *(column[others] for column in columns[1:])).messages(self._topics)
         return _Steady(
             records,
             records[:, 1].tolist(),
             columns.bytes_at(commands),
             [*columns.bytes_at(sent)] or [None] * len(commands),
-            list(zip(np.searchsorted(ends, others).tolist(), picked, strict=True)),
+            list(zip(np.searchsorted(ends, others).tolist(), columns.part(others).messages(self._topics), strict=True)),
             joints,
             arrivals.tolist(),
             before.tolist(),
