@@ -105,7 +105,7 @@ def switch(rounds: int) -> None:
         state = "recording" if wanted else "off"
         deadline = time.monotonic() + _PATIENCE
         asked = 0.0
-        while not told or told[-1]["recorder"] != state:
+        while not told or told[-1].get("recorder") != state:  # a node that prepares has none
             if time.monotonic() - asked > 2.0:  # again: an answer, or the question, may be lost
                 client.call_async(SetBool.Request(data=wanted))
                 asked = time.monotonic()

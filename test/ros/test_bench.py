@@ -1,0 +1,20 @@
+"""The part of `ik_controller bench` that runs a node measures, and says so in numbers; how large they are, nobody asks."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from rig import environment, next_domain
+
+from ik_controller.verbs import bench
+
+
+def test_the_cost_of_recording_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in environment(next_domain()).items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(bench, "_WINDOWS", 1)
+    cost, period = bench._recording()
+    assert math.isfinite(cost["ratio"])
+    assert period["p99_us"] > 0.0
+    assert period["ratio"] > 0.0
