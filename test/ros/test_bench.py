@@ -1,4 +1,4 @@
-"""The part of `ik_controller bench` that runs a node measures, and says so in numbers; how large they are, nobody asks."""
+"""What `ik_controller bench` measures of a node: that there are numbers; nobody asks how large they are."""
 
 from __future__ import annotations
 
