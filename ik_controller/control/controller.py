@@ -189,7 +189,7 @@ class Controller:
         states[0, : 2 * n + 6], memories[0] = self._state[: 2 * n + 6], self._gate.memory
         poses, twists, outcomes = np.empty((count, 4, 3)), np.empty((count, 6)), np.empty((count, 5))
         done = cycles_ahead(
-            law.chain, law.table, self._limits.table, self._gate.limits, self._limits.velocity, course[:5],
+            law.chain, law.table, self._limits.table, self._gate.limits, self._limits.velocity, tuple(course),
             law.feed_forward, self._limits.reserve, dt, states, memories, poses, twists, outcomes,
         )  # fmt: skip
         if not done:

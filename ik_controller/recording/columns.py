@@ -6,15 +6,16 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from ik_controller.kinematics.accelerate import compiled
 from ik_controller.recording.reader import Message
+from ik_controller.recording.segment import MESSAGE_HEAD
 
 Integers = NDArray[np.int64]
 
-_HEAD = 31  # bytes of a message record before its data
-_MESSAGE = 5  # opcode
+_HEAD, _MESSAGE = MESSAGE_HEAD.size, int(Opcode.MESSAGE)
 
 
 class Columns(NamedTuple):

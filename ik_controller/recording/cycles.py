@@ -95,7 +95,6 @@ class _Steady(NamedTuple):
     """Cycles (k) that all have a command, and what else came to them; no events."""
 
     records: Integers  # (k, 6)
-    times: list[int]
     recorded: list[bytes]  # commands
     sent: list[bytes | None]  # and what was sent instead
     targets: list[tuple[int, Message]]  # after how many of the cycles
@@ -193,7 +192,6 @@ class _Run:
         others = np.delete(np.arange(len(columns.kind)), np.concatenate((ends, states, commands, sent)))
         return _Steady(
             records,
-            records[:, 1].tolist(),
             columns.bytes_at(commands),
             [*columns.bytes_at(sent)] or [None] * len(commands),
             list(zip(np.searchsorted(ends, others).tolist(), columns.part(others).messages(self._topics), strict=True)),
@@ -210,14 +208,14 @@ class _Run:
             yield from self._between(steady, done, count)
             self._session.take(self._role_of[message.topic], message.data, message.log_time_ns)
             done = count
-        yield from self._between(steady, done, len(steady.times))
+        yield from self._between(steady, done, len(steady.records))
         self._session.measure(steady.joints[-1], steady.arrivals[-1])
 
     def _between(self, steady: _Steady, begin: int, end: int) -> Iterator[Cycle | Stretch]:
         """Run cycles without targets between them."""
         session, recorded, sent = self._session, steady.recorded, steady.sent
         if begin < end and all(steady.fresh[begin:end]):
-            gone = session.cycles(steady.times[begin:end])
+            gone = session.cycles(steady.records[begin:end, 1].tolist())
             if gone is not None:
                 part = slice(begin, begin + len(gone[0]))
                 yield Stretch(steady.records[part], recorded[part], sent[part], *gone)

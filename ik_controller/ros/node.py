@@ -7,7 +7,6 @@ recorder's writer, and one that tells the status while the executor's is compili
 from __future__ import annotations
 
 import threading
-import time
 import traceback
 from collections.abc import Callable
 from typing import Any
@@ -172,13 +171,15 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
         session = Session(model, self.parameters)
         self.get_logger().info(_PREPARING)
         self.preparing = True
-        telling = threading.Thread(target=self._tell_preparing, name=f"preparing {self.get_name()}")
+        ready = threading.Event()
+        telling = threading.Thread(target=self._tell_until, args=(ready,), name=f"preparing {self.get_name()}")
         telling.start()
         try:
             session.warm_up()
         finally:
-            self.preparing = False
+            ready.set()
             telling.join()
+            self.preparing = False
         for assumption in model.assumptions:
             self.get_logger().warning(assumption)
         self.model = model
@@ -331,11 +332,11 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
 
     # -- telling while there is no loop
 
-    def _tell_preparing(self) -> None:
+    def _tell_until(self, ready: threading.Event) -> None:
         """Tell the status while the executor's thread has no time for it."""
-        while self.preparing:
+        self._tell_idle()
+        while not ready.wait(_STATUS_PERIOD):
             self._tell_idle()
-            time.sleep(_STATUS_PERIOD)
 
     def _tell_idle(self) -> None:
         if self.runner is not None:
