@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 import math
+import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -28,8 +29,17 @@ DEFAULT_VELOCITY = {"revolute": 1.0, "continuous": 1.0, "prismatic": 0.25}
 DEFAULT_RAMP_TIME = 0.25
 
 
+class _Workspace(threading.local):
+    """Pinocchio's intermediate results, a set for each thread: one that came between two calls of another would change
+    what that one reads.
+    """
+
+    def __init__(self, pin_model: Any) -> None:
+        self.data: Any = pin_model.createData()
+
+
 class RobotModel:
-    """A serial arm with limits, in its base frame; immutable but for `set_tool_offset`.
+    """A serial arm with limits, in its base frame; immutable but for `set_tool_offset`, and so fit for several threads.
 
     Attributes: `joint_names` (n names), `n`, `lower`, `upper` [rad or m], `velocity_limit` [rad/s or m/s],
     `acceleration_limit` [rad/s² or m/s²], `jerk_limit` [rad/s³ or m/s³, inf where none], each (n,); `prismatic` (n,)
@@ -136,7 +146,7 @@ class RobotModel:
         self.tool_offset = pin.SE3.Identity()
         if tool_offset is not None:
             self.set_tool_offset(tool_offset)
-        self._data: Any = self.pin_model.createData()
+        self._workspace = _Workspace(self.pin_model)
 
     # -- making one
 
@@ -245,7 +255,7 @@ class RobotModel:
         """
         other = copy.copy(self)
         other.pin_model = pin.Model(self.pin_model)
-        other._data = other.pin_model.createData()
+        other._workspace = _Workspace(other.pin_model)
         other.set_tool_offset(offset)
         return other
 
@@ -259,11 +269,11 @@ class RobotModel:
 
     def forward(self, q: ArrayLike) -> Any:
         """Return the tool pose at q (n,) as a `pin.SE3` in the base frame [m]. Forward kinematics, N1."""
-        return frame_pose(self, self._data, np.asarray(q, dtype=float), self.tool_id)
+        return frame_pose(self, self._workspace.data, np.asarray(q, dtype=float), self.tool_id)
 
     def jacobian(self, q: ArrayLike) -> Array:
         """Return the basic Jacobian J₀ (6, n) at q (n,): (v, ω) = J₀ q̇, tool point, base frame [m/rad, 1]. N1."""
-        return frame_jacobian(self, self._data, np.asarray(q, dtype=float), self.tool_id)
+        return frame_jacobian(self, self._workspace.data, np.asarray(q, dtype=float), self.tool_id)
 
     def middle(self) -> Array:
         """Return the middle of the joint ranges (n,), 0 where a joint has no limits."""

@@ -13,7 +13,7 @@ from rclpy.node import Node
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from ik_controller.kinematics.model import RobotModel, frame_jacobian, frame_pose
+from ik_controller.kinematics.model import RobotModel
 from ik_controller.session import Session
 
 Array = NDArray[np.float64]
@@ -37,13 +37,12 @@ def markers(session: Session, path: list[Array]) -> list[Marker]:
     if q is None:
         return []
     model, status, reference = session.model, session.status, session.reference
-    data = model.pin_model.createData()  # the loop uses the model's own
-    found = _axes("tool", frame_pose(model, data, q, model.tool_id), 1.0)
+    found = _axes("tool", model.forward(q), 1.0)
     if reference is not None and reference.position is not None and reference.rotation is not None:
         found += _axes("target", pin.SE3(reference.rotation, reference.position), 0.5)
     found.append(_line("path", 0, path, _NAVY, 0.004, 1.0))
     found.append(_line("trajectory", 0, session.targets.way(), _ORANGE, 0.004, 0.8))
-    joints = _joints(model, data, q)
+    joints = _joints(model, q)
     room = np.minimum(q - model.lower, model.upper - q) / (model.upper - model.lower)
     for joint in range(model.n):
         held = joint == status.joint
@@ -52,15 +51,16 @@ def markers(session: Session, path: list[Array]) -> list[Marker]:
             color = _RED if held else (1.0, 0.2 + 0.8 * max(near, 0.0) / _NEAR, 0.2)
             found.append(_sphere("limits", joint, joints[joint], color))
     if model.n > 6:
-        free = np.linalg.svd(frame_jacobian(model, data, q, model.tool_id))[2][-1]
+        free = np.linalg.svd(model.jacobian(q))[2][-1]
         for number, turn in enumerate((-_SELF_MOTION, _SELF_MOTION)):
-            other = _joints(model, data, np.clip(q + turn * free, model.lower, model.upper))
+            other = _joints(model, np.clip(q + turn * free, model.lower, model.upper))
             found.append(_line("null_space", number, other, _GREY, 0.008, 0.4))
     return found
 
 
-def _joints(model: RobotModel, data: Any, q: Array) -> list[Array]:
+def _joints(model: RobotModel, q: Array) -> list[Array]:
     """Return the joints' places and the tool point (n + 1 of them, (3,) each) in the base frame."""
+    data = model.pin_model.createData()
     pin.forwardKinematics(model.pin_model, data, model.expand(q))
     places = [np.array(data.oMi[model.pin_model.getJointId(name)].translation) for name in model.joint_names]
     return [*places, np.array(pin.updateFramePlacement(model.pin_model, data, model.tool_id).translation)]
@@ -129,8 +129,7 @@ class MarkerOutput:
         if q is None:
             return
         model = self._session.model
-        tool = frame_pose(model, model.pin_model.createData(), q, model.tool_id)
-        self._path.append(np.array(tool.translation))
+        self._path.append(np.array(model.forward(q).translation))
         message = MarkerArray(markers=markers(self._session, list(self._path)))
         stamp = self._node.get_clock().now().to_msg()
         for marker in message.markers:

@@ -59,7 +59,7 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
         self._failure: Exception | None = None  # why the last transition was not made
         self._fatal: Exception | None = None  # what ends the process
         self._told = 0
-        self.preparing = False  # compiling the loop: nothing is commanded yet
+        self.preparing: RobotModel | None = None  # its loop is being compiled: nothing is commanded yet
         self._status = StatusOutput(self)
         on_change(self, self._accept_parameters)
         self.create_service(SetBool, "~/pause", self._serve_pause)
@@ -170,7 +170,7 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
         """Take up a model. Raises ParameterError where parameters do not fit it."""
         session = Session(model, self.parameters)
         self.get_logger().info(_PREPARING)
-        self.preparing = True
+        self.preparing = model
         ready = threading.Event()
         telling = threading.Thread(target=self._tell_until, args=(ready,), name=f"preparing {self.get_name()}")
         telling.start()
@@ -179,7 +179,7 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
         finally:
             ready.set()
             telling.join()
-            self.preparing = False
+            self.preparing = None
         for assumption in model.assumptions:
             self.get_logger().warning(assumption)
         self.model = model
@@ -352,6 +352,7 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
             why = str(self._failure)
         else:
             why = "waiting for the topic robot_description" if self._urdf is None else "waiting to be configured"
-        account = monitor.idle(state, why, self.model.robot_name if self.model else "")
+        model = self.preparing or self.model
+        account = monitor.idle(state, why, model.robot_name if model else "")
         self._status.tell(self.get_clock().now().nanoseconds, account, self._told % 10 == 0)
         self._told += 1

@@ -6,6 +6,7 @@ import argparse
 import os
 import random
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -14,15 +15,31 @@ from pathlib import Path
 from ik_controller.errors import IkControllerError
 
 PATIENCE = 30.0  # [s] for a process to start or end
+_PARTICIPANTS = 20  # of a domain, whose ports are looked at
+
+
+def is_quiet(domain: int) -> bool:
+    """Tell whether no process on this host takes part in a ROS domain: each would listen on two of its UDP ports, where
+    RTPS 2.5, 9.6.2.3 has them.
+    """
+    first = 7400 + 250 * domain + 10
+    for port in range(first, first + 2 * _PARTICIPANTS):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener:
+            try:
+                listener.bind(("", port))
+            except OSError:
+                return False
+    return True
 
 
 def private_graph() -> dict[str, str]:
-    """Return an environment alone on this host in a ROS domain of its own, unless the user says otherwise: what is
-    simulated here must not move a real arm in the same network.
+    """Return an environment alone on this host in a ROS domain that nobody uses here, unless the user says otherwise:
+    what is simulated must not move a real arm.
     """
+    domains = random.SystemRandom().sample(range(1, 101), 100)
     environment = dict(os.environ)
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    environment.setdefault("ROS_DOMAIN_ID", str(random.SystemRandom().randint(1, 100)))
+    environment.setdefault("ROS_DOMAIN_ID", str(next(filter(is_quiet, domains), domains[0])))
     environment.setdefault("RCUTILS_LOGGING_USE_STDOUT", "0")
     return environment
 

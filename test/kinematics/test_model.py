@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import sys
+import threading
 import xml.etree.ElementTree as ElementTree
 
 import arms
@@ -191,6 +193,29 @@ def test_a_tool_offset_moves_the_tool_point_and_its_velocity():
         np.testing.assert_allclose(model.jacobian(q)[3:], plain_jacobian[3:], atol=1e-12)
     changed.set_tool_offset([0, 0, 0, 0, 0, 0, 1])
     np.testing.assert_allclose(changed.forward(q).homogeneous, plain_pose.homogeneous, atol=1e-12)
+
+
+def test_threads_share_a_model():
+    """As node and loop do: parameters are checked against the model that a cycle asks where the tool is."""
+    model, ended, q = RobotModel.from_urdf(SKEWED, "tool"), threading.Event(), np.linspace(-0.3, 0.4, 7)
+    pose, jacobian, interval = model.forward(q).homogeneous, model.jacobian(q), sys.getswitchinterval()
+
+    def ask() -> None:
+        while not ended.is_set():
+            model.forward(-q)
+            model.jacobian(-q)
+
+    other = threading.Thread(target=ask)
+    sys.setswitchinterval(1e-6)
+    other.start()
+    try:
+        for _ in range(3000):
+            assert np.array_equal(model.forward(q).homogeneous, pose)
+            assert np.array_equal(model.jacobian(q), jacobian)
+    finally:
+        ended.set()
+        other.join()
+        sys.setswitchinterval(interval)
 
 
 def test_limits_come_from_the_urdf_and_can_be_overridden():

@@ -39,8 +39,12 @@ from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
+from ik_controller.control.status import Code
+from ik_controller.messages.cdr import CYCLE_FIELDS
 from ik_controller.recording.target_bag import write_targets
 from ik_controller.robots import build_model, bundled_parameters
+from ik_controller.ros.loop import STALL
+from ik_controller.verbs.processes import is_quiet
 
 os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
 # Not through shared memory: Fast DDS 2.14 crashes now and then (SharedMemChannelResource::release) where participants
@@ -95,9 +99,13 @@ def figure_bag(folder: Path, seconds: float, robot: str = "panda") -> Path:
 
 
 def next_domain() -> int:
-    """Return a ROS domain that no other run of these tests on this machine has, locked until this process ends."""
+    """Return a ROS domain that nobody on this machine uses, locked against other runs of these tests until this process
+    ends.
+    """
     for number in itertools.islice(_DOMAINS, 100):
         domain = 1 + number % 100
+        if not is_quiet(domain):
+            continue
         lock = (Path(tempfile.gettempdir()) / f"ik_controller_test_domain_{domain}").open("w")
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -437,6 +445,13 @@ def recorded(bag: Path, topic: str) -> list[Any]:
         return [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(wanted)]
 
 
-def stalls_of(rig: Rig) -> int:
-    """Return how often the node's process had been held up, at its last status, and once more since."""
-    return int(values_of(rig.heard["status"][-1])["stalls"]) + 1
+def restarts_of(bag: Path) -> int:
+    """Return how often at most the node of a bag started anew from the measured position: after it had been held up, or
+    had missed the joint states.
+    """
+    cycles = [message.data.tolist() for message in recorded(bag, "/ik_controller/cycle")]
+    due, code = CYCLE_FIELDS.index("time_ns"), CYCLE_FIELDS.index("code")
+    after_another = list(itertools.pairwise(cycles))
+    held_up = sum(after[due] - before[due] > STALL for before, after in after_another)
+    missed = sum(before[code] != after[code] == Code.NO_FEEDBACK for before, after in after_another)
+    return held_up + missed

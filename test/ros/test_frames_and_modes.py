@@ -189,14 +189,14 @@ def test_a_joint_trajectory_is_followed_to_its_goal_and_the_status_says_so(live:
         nonlocal status, sent_at
         status = live.heard["status"][-1]
         # A hold-up of the process ends a trajectory.
-        if values_of(status)["goal"] in ("", "abandoned") and time.monotonic() > sent_at + 3.0:
+        if values_of(status)["goal"] != "under way" and time.monotonic() > sent_at + 3.0:
             publisher.publish(path((0.6, goal), (1.0, HOME)))
             sent_at = time.monotonic()
-        return values_of(status)["goal"].startswith("reached: ")
+        home = np.abs(np.array(live.heard["joint_commands"][-1].position) - HOME).max() < 1e-9  # it may be sent twice
+        return home and "goal reached: 'panda_joint" in status.message
 
     live.until(reached, "the goal")
-    assert "goal reached: 'panda_joint" in status.message
-    np.testing.assert_allclose(live.heard["joint_commands"][-1].position, HOME, atol=1e-9)
+    assert values_of(status)["goal"].startswith("reached: ")
     farthest = max(np.abs(np.array(c.position) - HOME).max() for c in live.heard["joint_commands"][-1000:])
     assert farthest > 0.09
     for message, reason in (

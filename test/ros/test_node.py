@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from mcap_ros2.reader import read_ros2_messages
-from rig import CLI, Process, Rig, assert_limits_hold, figure_bag, recorded, stalls_of, stamp, table, values_of
+from rig import CLI, Process, Rig, assert_limits_hold, figure_bag, recorded, restarts_of, stamp, table, values_of
 from rosbags.highlevel import AnyReader
 
 from ik_controller.recording.reader import open_bag
@@ -30,7 +31,8 @@ class Run(NamedTuple):
     node: Process
     commands: list[Any]  # all that it sent, from the bag: a listener that is held up itself misses some
     moving_until: int  # stamp of a command when the stop was asked for
-    held: Any  # the status when the targets had ended
+    streamed: int  # when the targets began [ns]
+    held: Any  # the status when they had ended
     bag: Path
 
 
@@ -44,8 +46,13 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
         rig.until_status("waiting for the first joint state")
         rig.start_sim("--rate", "250", "--start", "0.05", "-0.7", "0", "-2.3", "0", "1.6", "0.8")
         rig.until_status("holding")
-        assert rig.run_cli("stream", str(targets)).wait() == 0
-        held = rig.until_status("holding")
+        for _ in range(5):  # where the machine holds the arm or its node up, there is nothing to see
+            streamed, first = time.time_ns(), len(rig.heard["status"]) - 1
+            assert rig.run_cli("stream", str(targets)).wait() == 0
+            held = rig.until_status("holding")
+            seen = [values_of(status) for status in rig.heard["status"][first:]]
+            if len({values["stalls"] for values in seen}) == 1 and "no_feedback" not in {v["state"] for v in seen}:
+                break
         again = rig.start("stream", [*CLI, "stream", str(targets), "--loop"])
         rig.until_new("joint_commands", lambda c: np.abs(c.velocity).max() > 0.1, "the arm to move")
         moving_until = stamp(rig.heard["joint_commands"][-1])
@@ -56,7 +63,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Run]:
         rig.listen()
         (bag,) = rig.bags()
         commands = recorded(bag, "/joint_commands")
-        yield Run(rig, build_model(bundled_parameters("panda")), node, commands, moving_until, held, bag)
+        yield Run(rig, build_model(bundled_parameters("panda")), node, commands, moving_until, streamed, held, bag)
     finally:
         rig.close()
 
@@ -75,7 +82,7 @@ def test_commands_carry_the_models_joints_with_position_and_velocity(run: Run) -
 
 
 def test_limits_hold_in_the_published_stream_also_in_the_last_stop(run: Run) -> None:
-    assert_limits_hold(run.commands, run.model, PERIOD, stalls_of(run.rig))
+    assert_limits_hold(run.commands, run.model, PERIOD, restarts_of(run.bag))
     last = run.commands[-1]
     assert not np.any(last.velocity)
     (then,) = (command for command in run.commands if stamp(command) == run.moving_until)
@@ -84,10 +91,10 @@ def test_limits_hold_in_the_published_stream_also_in_the_last_stop(run: Run) -> 
 
 
 def test_the_arm_follows_the_poses_it_was_sent(run: Run) -> None:
-    stamps, q, v = table(run.commands)
-    begin = stamps[np.flatnonzero(v.any(axis=1))[0]]
-    gaps = []
-    for target in recorded(run.bag, "/ik_controller/target_pose"):
+    stamps, q, _ = table(run.commands)
+    targets = [target for target in recorded(run.bag, "/ik_controller/target_pose") if stamp(target) > run.streamed]
+    begin, gaps = stamp(targets[0]), []
+    for target in targets:
         # One second in, the way to the figure has been made; 2.5 s in, the targets end.
         if begin + 1_000_000_000 < stamp(target) < begin + 2_300_000_000:
             index = int(np.searchsorted(stamps, stamp(target)))
