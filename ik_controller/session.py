@@ -283,8 +283,8 @@ class Session:
         """
         if not self._running or self.paused or self._restarting or self.goal.under_way:
             return None
-        course = self.targets.course(times)
-        gone = None if course is None else self.controller.go_ahead(course, self.dt)
+        references = self.targets.references(times, self.dt)
+        gone = None if references is None else self.controller.go_ahead(*references, self.dt)
         if gone is None:
             return None
         states, self.reference, self.status = gone

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.control.bounded import CLOSEST
-from ik_controller.control.extrapolation import carry_on
 from ik_controller.control.gate import check
 from ik_controller.control.kernel import NOT_FINITE, SCALARS, rests_away, tool_cycle
 from ik_controller.control.reach import LAST, near_bound
@@ -28,29 +27,26 @@ def cycles_ahead(
     limits: Array,
     own_limits: Array,
     speeds: Array,
-    course: Any,
+    poses: Array,
+    twists: Array,
     feed_forward: bool,
     reserve: bool,
     dt: float,
     states: Array,
     memories: Array,
-    poses: Array,
-    twists: Array,
     outcomes: Array,
 ) -> int:
-    """Work out cycles along a course, as many as need nothing more than this; return how many.
+    """Work out a cycle for each reference, as many as need nothing more than this; return how many.
 
-    States `states` (k + 1, 2n + 12) and the gate's `memories` (k + 1, 3, n) begin with the last ones; `poses`
-    (k, 4, 3) and `twists` (k, 6): the references; `outcomes` (k, 5): what `tool_cycle` returns. `own_limits`: the
-    gate's; `speeds` (n,): see `rests_away`.
+    The references: `poses` (k, 4, 3), rotation over position, and `twists` (k, 6). States `states` (k + 1, 2n + 12) and
+    the gate's `memories` (k + 1, 3, n) begin with the last ones; `outcomes` (k, 5): what `tool_cycle` returns.
+    `own_limits`: the gate's; `speeds` (n,): see `rests_away`.
     """
     n = speeds.shape[0]
-    position, rotation, twist, rate, ahead = course
     detail, still = np.empty((7, n)), np.zeros(6)
-    count: int = ahead.shape[0]
+    count: int = poses.shape[0]
     for k in range(count):
         state, memory, pose = states[k, : 2 * n + 6], memories[k], poses[k]
-        carry_on(position, rotation, twist, rate if ahead[k] > 0.0 else still, ahead[k], dt, pose, twists[k])
         limits[LAST, :n] = memory[2]
         how, scale, joint, limit, sigma = tool_cycle(
             chain, law, limits, state, state[:n], pose[3], pose[:3], twists[k] if feed_forward else still, still, True,

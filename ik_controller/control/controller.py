@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from ik_controller.control.ahead import cycles_ahead
 from ik_controller.control.bounded import CLOSEST
 from ik_controller.control.closest import slide
-from ik_controller.control.extrapolation import Course
 from ik_controller.control.gate import Gate
 from ik_controller.control.kernel import (
     BRAKING,
@@ -174,23 +173,24 @@ class Controller:
         self._keep(np.concatenate((*self._gate.braking(dt), _ZERO)))
         return Step(self._q, self._v, np.zeros(6), Status(Code.FAULT, reason=self.fault))
 
-    def go_ahead(self, course: Course, dt: float) -> tuple[Array, Reference, Status] | None:
-        """Run the next cycles along a course, dt [s] each: as many as nothing but the law has a say in.
+    def go_ahead(self, poses: Array, twists: Array, dt: float) -> tuple[Array, Reference, Status] | None:
+        """Run the next cycles, dt [s] each, to poses (k, 4, 3), rotation over position, with twists (k, 6): as many as
+        nothing but the law has a say in.
 
         Return their states (k, 2n + 12): position, velocity, the tool's velocity, error; with the last one's reference
         and status. None where `step` has to run the first one.
         """
-        law, n, count = self._law, self._n, course.ahead.size
+        law, n, count = self._law, self._n, len(poses)
         plain = law.in_kernel and law.stack is None and self.parameters.integration_base == "commanded"
         ready = self._started and not (self._fresh or self._outside or self.fault) and dt == self._checked_dt
         if not (HAS_NUMBA and plain and ready) or self._obstacles.watching:
             return None
         states, memories = np.empty((count + 1, 2 * n + 12)), np.empty((count + 1, 3, n))
         states[0, : 2 * n + 6], memories[0] = self._state[: 2 * n + 6], self._gate.memory
-        poses, twists, outcomes = np.empty((count, 4, 3)), np.empty((count, 6)), np.empty((count, 5))
+        outcomes = np.empty((count, 5))
         done = cycles_ahead(
-            law.chain, law.table, self._limits.table, self._gate.limits, self._limits.velocity, tuple(course),
-            law.feed_forward, self._limits.reserve, dt, states, memories, poses, twists, outcomes,
+            law.chain, law.table, self._limits.table, self._gate.limits, self._limits.velocity, poses, twists,
+            law.feed_forward, self._limits.reserve, dt, states, memories, outcomes,
         )  # fmt: skip
         if not done:
             return None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,31 +11,22 @@ from ik_controller.kinematics.rotation_exp import rotation_exp
 Array = NDArray[np.float64]
 
 
-class Course(NamedTuple):
-    """How a pose stream goes on without a new sample: from `position` (3,) [m] and `rotation` (3, 3) by `twist` (6,)
-    [m/s, rad/s], which changes at `rate` (6,). Cycles begin `ahead` (k,) [s] after the sample.
-    """
-
-    position: Array
-    rotation: Array
-    twist: Array
-    rate: Array
-    ahead: Array
-
-
 @compiled
 def carry_on(
-    position: Array, rotation: Array, twist: Array, rate: Array, ahead: float, dt: float, pose: Array, mean: Array
+    position: Array, rotation: Array, twist: Array, rate: Array, ahead: Array, dt: float, poses: Array, means: Array
 ) -> None:
-    """Write where a pose is after `ahead` [s] of a twist (6,) that changes at `rate` (6,), and its mean over the next
-    dt.
+    """Write where a pose is after each of `ahead` (k,) [s] of a twist (6,) that changes at `rate` (6,), and its mean
+    over the next dt; before the pose's own time the twist does not change.
 
-    `pose` (4, 3): rotation over position; `mean` (6,).
+    `poses` (k, 4, 3): rotation over position; `means` (k, 6).
     """
-    way = ahead * twist + (0.5 * ahead * ahead) * rate
-    rotation_exp(way[3:], rotation, pose)
-    pose[3] = position + way[:3]
-    mean[:] = twist + (ahead + 0.5 * dt) * rate
+    still = np.zeros(6)
+    for k in range(ahead.shape[0]):
+        time, change = ahead[k], rate if ahead[k] > 0.0 else still
+        way = time * twist + (0.5 * time * time) * change
+        rotation_exp(way[3:], rotation, poses[k])
+        poses[k, 3] = position + way[:3]
+        means[k] = twist + (time + 0.5 * dt) * change
 
 
 @compiled

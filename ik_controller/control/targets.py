@@ -16,7 +16,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from ik_controller.control.extrapolation import Course, agreed_rate, carry_on
+from ik_controller.control.extrapolation import agreed_rate, carry_on
 from ik_controller.control.joint_path import JointPath
 from ik_controller.control.reference import Reference
 from ik_controller.control.segment import Segment
@@ -46,8 +46,8 @@ class Targets:
 
     def __init__(self, parameters: ControllerParameters) -> None:
         self._segment: tuple[_Sample, _Sample, Segment] | None = None  # the last one asked for
-        self._pose, self._mean = np.empty((4, 3)), np.empty(6)
-        self._carried = Reference(self._pose[3], self._pose[:3], self._mean)  # that of a cycle, made once for all
+        self._one = np.empty((1, 4, 3)), np.empty((1, 6))  # a cycle's pose and twist, made once for all
+        self._followed = Reference(self._one[0][0, 3], self._one[0][0, :3], self._one[1][0])
         self._mode = "auto"
         self.clear()
         self.set_parameters(parameters)
@@ -213,9 +213,9 @@ class Targets:
 
     def _sample_at(self, time: int) -> _Sample:
         """Return the trajectory's pose and twist at `time` [ns] as a sample."""
-        reference = self._pose_reference(time, _INSTANT)
-        assert reference.position is not None and reference.rotation is not None  # noqa: PT018 (it has a pose)
-        return _Sample(time, time, reference.position, reference.rotation, reference.twist)
+        poses, twists = np.empty((1, 4, 3)), np.empty((1, 6))
+        self._write(bisect.bisect_right(self._times, time), [time], _INSTANT, poses, twists)
+        return _Sample(time, time, poses[0, 3], poses[0, :3], twists[0])
 
     def _restart(self) -> None:
         self._samples, self._times, self._trajectory, self._segment = [], [], False, None
@@ -308,43 +308,48 @@ class Targets:
                 return Reference(joint_velocity=self._jog)
             return Reference(joints=self._joints[0], joint_velocity=self._joints[1])
         if self._samples and (self._trajectory or now - self._pose_arrival <= self._timeout):
-            return self._pose_reference(now - self._delay if not self._trajectory else now, dt)
+            time = now if self._trajectory else now - self._delay
+            self._write(bisect.bisect_right(self._times, time), [time], dt, *self._one)
+            return self._followed
         if self._twists and now - self._twist_arrival <= self._timeout and self._mode != "pose":
             return Reference(twist=self._twists[-1][2], about=self._twists[-1][3])
         return None
 
-    def course(self, times: list[int]) -> Course | None:
-        """Return how a pose stream goes on at cycles that begin at these times [ns], rising, as far as it is live; None
-        where something else is followed.
+    def references(self, times: list[int], dt: float) -> tuple[Array, Array] | None:
+        """Return the references of a pose stream for cycles from these times [ns], none before the last, to dt [s]
+        later, as many as find it live: poses (k, 4, 3), rotation over position, and twists (k, 6); None where something
+        else is followed.
         """
-        until = self._pose_arrival + self._timeout
-        times = times[: bisect.bisect_right(times, until)]
+        count = bisect.bisect_right(times, self._pose_arrival + self._timeout)
         elsewhere = self._trajectory or self._path is not None or self._joints is not None or self._jog is not None
-        if elsewhere or not times or not self._samples or times[0] - self._delay < self._times[-1]:
+        if elsewhere or not count or not self._samples:
             return None
-        sample = self._samples[-1]
-        twist = self._twist_of(sample)
-        if twist is None:
-            return None
-        rate = _NO_CHANGE if self._acceleration is None else self._acceleration
-        ahead = np.array([(time - self._delay - sample.time) * 1e-9 for time in times])
-        return Course(sample.position, sample.rotation, twist, rate, ahead)
+        poses, twists = np.empty((count, 4, 3)), np.empty((count, 6))
+        done = 0
+        while done < count:
+            index, end = bisect.bisect_right(self._times, times[done] - self._delay), count
+            if index < len(self._times):  # up to the next sample
+                end = bisect.bisect_left(times, self._times[index] + self._delay, done, count)
+            asked = [time - self._delay for time in times[done:end]]
+            self._write(index, asked, dt, poses[done:end], twists[done:end])
+            done = end
+        return poses, twists
 
-    def _pose_reference(self, time: int, dt: float) -> Reference:
-        index = bisect.bisect_right(self._times, time)
-        if 0 < index < len(self._samples):
-            before, after = self._samples[index - 1], self._samples[index]
-            if self._trajectory or after.time - before.time <= self._timeout:
-                return self._between(index - 1, time, dt)
-        # Before the first sample, or after the last one: carry its pose on.
+    def _write(self, index: int, times: list[int], dt: float, poses: Array, twists: Array) -> None:
+        """Write the references at times [ns] that `index` samples are before."""
         sample = self._samples[max(index - 1, 0)]
+        ahead = np.array([(time - sample.time) * 1e-9 for time in times])
+        segment = self._segment_to(index)
+        if segment is not None:
+            segment.references(ahead, dt, poses, twists)
+            return
+        # Before the first sample, or after the last one: carry its pose on.
         twist = None if self._trajectory else self._twist_of(sample)
         if twist is None:
-            return Reference(sample.position, sample.rotation, np.zeros(6))
-        ahead = (time - sample.time) * 1e-9
-        rate = self._acceleration if self._acceleration is not None and ahead > 0.0 else _NO_CHANGE
-        carry_on(sample.position, sample.rotation, twist, rate, ahead, dt, self._pose, self._mean)
-        return self._carried
+            poses[:, :3], poses[:, 3], twists[:] = sample.rotation, sample.position, 0.0
+            return
+        rate = _NO_CHANGE if self._acceleration is None else self._acceleration
+        carry_on(sample.position, sample.rotation, twist, rate, ahead, dt, poses, twists)
 
     def _twist_of(self, sample: _Sample) -> Array | None:
         """Return the sample's twist, or while that is still on its way, the last one if fresh."""
@@ -367,21 +372,19 @@ class Targets:
         rate: Array = agreed_rate(v0, v1, v2, 1e-9 * (t1 - t0), 1e-9 * (t2 - t1))
         return rate
 
-    def _between(self, index: int, time: int, dt: float) -> Reference:
-        before, after = self._samples[index], self._samples[index + 1]
+    def _segment_to(self, index: int) -> Segment | None:
+        """Return the motion from the sample before a sample to it, None where there is none, or too long a gap."""
+        if not 0 < index < len(self._samples):
+            return None
+        before, after = self._samples[index - 1], self._samples[index]
+        if not (self._trajectory or after.time - before.time <= self._timeout):
+            return None
         kept = self._segment
         if kept is None or kept[0] is not before or kept[1] is not after:
-            start = (before.position, before.rotation, self._slope(index))
-            end = (after.position, after.rotation, self._slope(index + 1))
+            start = (before.position, before.rotation, self._slope(index - 1))
+            end = (after.position, after.rotation, self._slope(index))
             kept = self._segment = before, after, Segment((after.time - before.time) * 1e-9, start, end)
-        segment = kept[2]
-        ahead = (time - before.time) * 1e-9
-        position, rotation = segment.at(ahead)
-        # The secant over the cycle, cut at the segment's end: the next segment starts there with the same twist.
-        span = min(dt, max(segment.duration - ahead, 1e-9))
-        end_position, end_rotation = segment.at(ahead + span)
-        turn = pin.log3(end_rotation @ rotation.T)
-        return Reference(position, rotation, np.concatenate((end_position - position, turn)) / span)
+        return kept[2]
 
     def _slope(self, index: int) -> Array:
         """Return the sample's twist, or one from its neighbours: the mean of both sides, weighted by nearness."""

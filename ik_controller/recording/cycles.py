@@ -184,7 +184,7 @@ class _Run:
         rows, joint_rows = columns.rows_at(ends), columns.rows_at(states)
         records = None if rows is None else cdr.decode_cycles(rows)
         joints = None if joint_rows is None else session.joint_states(joint_rows)
-        if records is None or joints is None:
+        if records is None or joints is None or (np.diff(records[:, 1]) < 0).any():  # a clock was set back
             return None
         before = np.searchsorted(states, ends)
         arrivals = columns.time[states]

@@ -19,6 +19,18 @@ _CLOCK_STEP = 10_000_000  # [ns] of the system clock beyond which the grid's tim
 _CHECK = 1.0  # [s] between looks at the system clock
 
 
+def clocks() -> tuple[int, int]:
+    """Return the monotonic and the system time [ns] of one moment: by the tightest of three readings, as a process that
+    is held up within one sees a clock jump.
+    """
+    readings = []
+    for _ in range(3):
+        monotonic, system = time.monotonic_ns(), time.time_ns()
+        readings.append((time.monotonic_ns() - monotonic, monotonic, system))
+    _, monotonic, system = min(readings)
+    return monotonic, system
+
+
 class Loop:
     """Runs `cycle(index, now, late)` every `period` [ns] until `stop` is set; `now` [ns] is system time on the grid."""
 
@@ -37,8 +49,7 @@ class Loop:
         period, cycle = self.period, self.cycle
         monotonic, sleep = time.monotonic_ns, time.sleep
         check_every = max(round(_CHECK * 1e9 / period), 1)
-        start = monotonic()
-        epoch = time.time_ns()
+        start, epoch = clocks()
         index = 0
         while not self.stop:
             due = start + index * period
@@ -58,7 +69,8 @@ class Loop:
             cycle(index, epoch + index * period, late)
             index += 1
             if index % check_every == 0:
-                step = time.time_ns() - monotonic() + start - epoch
+                then, system = clocks()
+                step = system - then + start - epoch
                 if abs(step) > _CLOCK_STEP:
                     epoch += step
 

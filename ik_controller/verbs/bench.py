@@ -175,20 +175,25 @@ def _steps() -> list[dict[str, Any]]:
 
 
 def _replay() -> list[dict[str, Any]]:
-    """Time the replay of a 1 kHz run a cycle; the ratio is to real time, its inverse the speed."""
+    """Time the replay of a run of the ideal arm at 1 kHz."""
     from ik_controller.recording.reader import open_bag
     from ik_controller.recording.replay import replay
     from ik_controller.robots import bundled_parameters
-    from ik_controller.share import bag_folder
 
     with tempfile.TemporaryDirectory() as folder:
-        run_bag = Path(folder) / "run"
-        replay(open_bag(bag_folder("panda_figure_eight")), robot=bundled_parameters("panda"), output=run_bag)
-        times = []
-        for _ in range(5):
-            result = replay(open_bag(run_bag))
-            times.append(result.elapsed / result.cycles * 1e6)
-    return [_row("replay, a cycle", times, [1000.0] * len(times), "1 kHz real time")]
+        bag = Path(folder) / "run"
+        replay(open_bag(_targets()), robot=bundled_parameters("panda"), output=bag)
+        return [_replay_of(bag, "replay, a cycle")]
+
+
+def _replay_of(bag: Path, name: str) -> dict[str, Any]:
+    """Time the replay of a 1 kHz run a cycle; the ratio is to real time, its inverse the speed."""
+    from ik_controller.recording.reader import open_bag
+    from ik_controller.recording.replay import replay
+
+    results = [replay(open_bag(bag)) for _ in range(5)]
+    times = [result.elapsed / result.cycles * 1e6 for result in results]
+    return _row(name, times, [1000.0] * len(times), "1 kHz real time")
 
 
 class Graph:
@@ -253,7 +258,9 @@ def _node(seconds: float) -> list[dict[str, Any]]:
                 time.sleep(seconds / _WINDOWS)
                 shares.append({name: graph.processor_time(name) - before[name] for name in graph.processes})
             outputs = {name: graph.end(name) for name in ("stream", "node", "relay", "listen", "sleep", "sim")}
-        node_p99 = _node_period(Path(folder), seconds)
+        bag = _recorded_in(Path(folder))
+        node_p99 = _node_period(bag, seconds)
+        again = _replay_of(bag, "replay of that run, a cycle")
     sleep_p99 = json.loads(outputs["sleep"])["period_p99_us"]
     cycles = seconds / _WINDOWS * 1000.0
     relay = statistics.median(share["relay"] for share in shares)
@@ -272,6 +279,7 @@ def _node(seconds: float) -> list[dict[str, Any]]:
             "ratio": node_p99 / sleep_p99,
             "beside": f"p99 of a bare sleep loop ({sleep_p99:.0f} µs)",
         },
+        again,
     ]
 
 
@@ -318,7 +326,14 @@ def _targets() -> Path:
     return bag_folder("panda_figure_eight")
 
 
-def _node_period(folder: Path, seconds: float) -> float:
+def _recorded_in(folder: Path) -> Path:
+    bags = sorted(path for path in folder.iterdir() if path.is_dir())
+    if not bags:
+        raise IkControllerError("the node recorded nothing: is rclpy installed?")
+    return bags[0]
+
+
+def _node_period(path: Path, seconds: float) -> float:
     """Return the 99th percentile [µs] of the node's period over the last `seconds` of its bag."""
     import numpy as np
 
@@ -326,13 +341,10 @@ def _node_period(folder: Path, seconds: float) -> float:
     from ik_controller.recording.reader import open_bag
     from ik_controller.recording.run import RunInfo
 
-    bags = sorted(path for path in folder.iterdir() if path.is_dir())
-    if not bags:
-        raise IkControllerError("the node recorded nothing: is rclpy installed?")
-    bag = open_bag(bags[0])
+    bag = open_bag(path)
     info = RunInfo.of(bag)
     if info is None:
-        raise IkControllerError(f"bag '{bags[0]}' holds no run")
+        raise IkControllerError(f"bag '{path}' holds no run")
     records = [decode_cycle(message.data) for message in bag.messages([info.topics["cycle"]])]
     starts = np.array([record[1] + record[3] for record in records[-int(1000.0 * seconds) :]])
     return float(np.percentile(np.diff(starts), 99) * 1e-3)

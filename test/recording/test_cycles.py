@@ -100,6 +100,7 @@ def compare(recorded: Recorded, robot: Robot, changes: dict[str, Any], bag: Path
 @given(
     seed=st.integers(0, 2**32 - 1),
     size=st.sampled_from([1e-3, 0.05, 2.0]),
+    early=st.sampled_from([0, 40]),
     changes=st.sampled_from(
         [
             {},
@@ -111,7 +112,8 @@ def compare(recorded: Recorded, robot: Robot, changes: dict[str, Any], bag: Path
         ]
     ),
 )
-def test_together_or_one_by_one(name: str, seed: int, size: float, changes: dict[str, Any]) -> None:
+def test_together_or_one_by_one(name: str, seed: int, size: float, early: int, changes: dict[str, Any]) -> None:
+    """`early`: how many cycles at most a target is there before its time, as where the node had been held up."""
     robot, changes = arm(name), {"feedback_timeout": 0.02, **changes}
     rng = np.random.default_rng(seed)
     names, base = robot.model.joint_names, robot.model.base_frame
@@ -134,17 +136,19 @@ def test_together_or_one_by_one(name: str, seed: int, size: float, changes: dict
         for _ in range(12):
             if rng.random() < 0.15:
                 recorded.event(EVENTS[rng.integers(len(EVENTS))], now)
-            if rng.random() < 0.5:
-                pose = moved(home, size * rng.standard_normal(6))
-                recorded.take("target_pose", wire.pose(wire.seven(pose), base, now), now)
-            else:
-                recorded.take("target_twist", wire.twist(size * rng.standard_normal(6), base, now), now)
+            for _ in range(rng.integers(1, 4)):
+                stamp = now + int(rng.integers(early + 1)) * period
+                if rng.random() < 0.5:
+                    pose = moved(home, size * rng.standard_normal(6))
+                    recorded.take("target_pose", wire.pose(wire.seven(pose), base, stamp), now)
+                else:
+                    recorded.take("target_twist", wire.twist(size * rng.standard_normal(6), base, stamp), now)
             fed = rng.random() > 0.1  # else the joints fall silent, and it must stop
             for _ in range(rng.integers(1, 60)):
                 if fed and rng.random() < 0.9:
                     recorded.take("joint_states", joint_state(now), now)
                 recorded.cycle(now)
-                now += int(rng.random() < 0.99) * period  # and some at a time that was before
+                now += int(rng.choice([1, 0, -3], p=[0.98, 0.01, 0.01])) * period  # some at a time that was before
         recorded.writer.close()
         evenly_chunked(Path(folder) / "run", Path(folder) / "chunks", int(rng.integers(20, 500)))
         compare(recorded, robot, changes, Path(folder) / "chunks")
@@ -160,24 +164,26 @@ def test_chunks_may_end_anywhere(tmp_path: Path, per_chunk: int, output: str) ->
     compare(recorded, robot, changes, tmp_path / "chunks")
 
 
-def test_a_quiet_stream_is_worked_out_together(tmp_path: Path) -> None:
+@pytest.mark.parametrize("early", [0, 1, 15])
+def test_a_stream_is_worked_out_together(tmp_path: Path, early: int) -> None:
     robot = bundled("panda")
-    recorded = smooth(robot, tmp_path / "run")
+    recorded = smooth(robot, tmp_path / "run", early=early)
     recorded.writer.close()
     together, alone = compare(recorded, robot, {}, tmp_path / "run")
     assert alone <= 10  # the first ones
     assert together >= 180
 
 
-def smooth(robot: Robot, folder: Path, changes: dict[str, Any] | None = None) -> Recorded:
-    """A run in which the tool moves on at 1 cm/s: a target every ten cycles."""
+def smooth(robot: Robot, folder: Path, changes: dict[str, Any] | None = None, early: int = 0) -> Recorded:
+    """A run in which the tool moves on at 1 cm/s: a target every ten cycles, so many cycles before its time."""
     recorded = Recorded(robot, changes or {}, folder)
     home, base = robot.model.forward(robot.home), robot.model.base_frame
     now = START
     for k in range(20):
-        recorded.take("target_twist", wire.twist([0.01, 0, 0, 0, 0, 0], base, now), now)
+        stamp = now + early * recorded.session.period
+        recorded.take("target_twist", wire.twist([0.01, 0, 0, 0, 0, 0], base, stamp), now)
         pose = moved(home, np.array([1e-4 * k, 0, 0, 0, 0, 0]))
-        recorded.take("target_pose", wire.pose(wire.seven(pose), base, now), now)
+        recorded.take("target_pose", wire.pose(wire.seven(pose), base, stamp), now)
         for _ in range(10):
             recorded.take("joint_states", wire.joints(robot.model.joint_names, robot.home, (), now), now)
             recorded.cycle(now)

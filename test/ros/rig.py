@@ -33,17 +33,13 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import parameter_value_to_python
 from rclpy.qos import QoSProfile
-from rosbags.highlevel import AnyReader
 from sensor_msgs.msg import JointState
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import MultiDOFJointTrajectory
 from visualization_msgs.msg import MarkerArray
 
-from ik_controller.control.status import Code
-from ik_controller.messages.cdr import CYCLE_FIELDS
 from ik_controller.recording.target_bag import write_targets
 from ik_controller.robots import build_model, bundled_parameters
-from ik_controller.ros.loop import STALL
 from ik_controller.verbs.processes import is_quiet
 
 os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
@@ -402,56 +398,3 @@ class Rig:
 def values_of(status: DiagnosticStatus) -> dict[str, str]:
     """Return a status' key-value pairs."""
     return {pair.key: pair.value for pair in status.values}
-
-
-def stamp(message: Any) -> int:
-    """Return a message's stamp [ns]."""
-    return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
-
-
-def table(commands: list[JointState]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the stamps (k,) [ns], positions (k, n) and velocities (k, n) of commands."""
-    stamps = np.array([stamp(c) for c in commands], dtype=np.int64)
-    return stamps, np.array([c.position for c in commands]), np.array([c.velocity for c in commands])
-
-
-def assert_limits_hold(commands: list[JointState], model: Any, period: int, restarts: int = 0) -> None:
-    """Position, velocity and acceleration limits, in the positions themselves, for commands `period` [ns] apart.
-
-    `restarts`: how often at most the node started anew from the measured position; there, at rest, the stream may have
-    a gap in time and a step to what was measured.
-    """
-    stamps, q, v = table(commands)
-    steps, dt = np.diff(stamps), period * 1e-9
-    assert (steps % period == 0).all()
-    assert np.count_nonzero(steps != period) <= restarts
-    assert (q >= model.lower - 1e-12).all()
-    assert (q <= model.upper + 1e-12).all()
-    differences = np.diff(q, axis=0) / dt
-    new = ~v[1:].any(axis=1) & (np.abs(differences) > 1e-9 / dt).any(axis=1)
-    assert np.count_nonzero(new) <= restarts
-    assert not v[:-1][new].any()
-    differences[new] = 0.0
-    np.testing.assert_allclose(differences, v[1:], atol=1e-9 / dt)
-    assert (np.abs(differences) <= model.velocity_limit * (1.0 + 1e-6) + 1e-9).all()
-    accelerations = np.diff(differences, axis=0) / dt
-    assert (np.abs(accelerations) <= model.acceleration_limit * (1.0 + 1e-6) + 1e-6).all()
-
-
-def recorded(bag: Path, topic: str) -> list[Any]:
-    """Return a bag's messages of a topic, read by rosbags."""
-    with AnyReader([bag]) as reader:
-        wanted = [c for c in reader.connections if c.topic == topic]
-        return [reader.deserialize(data, c.msgtype) for c, _, data in reader.messages(wanted)]
-
-
-def restarts_of(bag: Path) -> int:
-    """Return how often at most the node of a bag started anew from the measured position: after it had been held up, or
-    had missed the joint states.
-    """
-    cycles = [message.data.tolist() for message in recorded(bag, "/ik_controller/cycle")]
-    due, code = CYCLE_FIELDS.index("time_ns"), CYCLE_FIELDS.index("code")
-    after_another = list(itertools.pairwise(cycles))
-    held_up = sum(after[due] - before[due] > STALL for before, after in after_another)
-    missed = sum(before[code] != after[code] == Code.NO_FEEDBACK for before, after in after_another)
-    return held_up + missed

@@ -7,7 +7,8 @@ import signal
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from rig import CLI, Rig, figure_bag, stamp
+from published import stamp
+from rig import CLI, Rig, figure_bag
 from sensor_msgs.msg import JointState
 
 NAMES = ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint"]

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from rig import CLI, NODE, ROOT, Rig, figure_bag, recorded, values_of
+from published import recorded
+from rig import CLI, NODE, ROOT, Rig, figure_bag, values_of
 from sensor_msgs.msg import JointState
 from test_services import replayed
 

@@ -17,8 +17,9 @@ import numpy as np
 import pytest
 from geometry_msgs.msg import TwistStamped
 from launch_files import EXECUTABLES, described
+from published import recorded, table
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rig import CLI, ROOT, Process, Rig, figure_bag, recorded, table
+from rig import CLI, ROOT, Process, Rig, figure_bag
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from test_bad_input import twist

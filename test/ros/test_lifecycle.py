@@ -6,8 +6,9 @@ import signal
 
 import numpy as np
 import pytest
+from published import assert_limits_hold, recorded
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rig import Rig, assert_limits_hold, recorded, values_of
+from rig import Rig, values_of
 from std_msgs.msg import String
 from test_services import at_rest, moving, replayed
 

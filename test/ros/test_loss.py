@@ -9,7 +9,8 @@ import subprocess
 
 import numpy as np
 import pytest
-from rig import CLI, Rig, assert_limits_hold, environment, figure_bag, recorded, restarts_of, stamp
+from published import assert_limits_hold, recorded, restarts_of, stamp
+from rig import CLI, Rig, environment, figure_bag
 from test_services import at_rest
 
 from ik_controller.messages import cdr

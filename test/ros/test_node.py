@@ -13,7 +13,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from mcap_ros2.reader import read_ros2_messages
-from rig import CLI, Process, Rig, assert_limits_hold, figure_bag, recorded, restarts_of, stamp, table, values_of
+from published import assert_limits_hold, recorded, restarts_of, stamp, table
+from rig import CLI, Process, Rig, figure_bag, values_of
 from rosbags.highlevel import AnyReader
 
 from ik_controller.recording.reader import open_bag

@@ -7,8 +7,9 @@ import signal
 import numpy as np
 import pinocchio as pin
 from geometry_msgs.msg import PoseStamped
+from published import assert_limits_hold, recorded, restarts_of
 from rclpy.qos import DurabilityPolicy, QoSProfile
-from rig import Rig, assert_limits_hold, recorded, restarts_of, values_of
+from rig import Rig, values_of
 from visualization_msgs.msg import Marker, MarkerArray
 
 from ik_controller.recording.reader import open_bag

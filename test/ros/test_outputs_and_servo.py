@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from rig import NODE, Rig, recorded
+from published import recorded
+from rig import NODE, Rig
 from std_msgs.msg import Float64MultiArray, Int8
 from std_srvs.srv import SetBool, Trigger
 from test_bad_input import HOME, JOINTS, twist

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 from geometry_msgs.msg import TwistStamped
-from rig import Rig, recorded
+from published import recorded
+from rig import Rig
 
 from ik_controller.recording.reader import open_bag
 from ik_controller.recording.replay import Replay, replay

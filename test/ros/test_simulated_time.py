@@ -7,7 +7,8 @@ import time
 from typing import Any
 
 import numpy as np
-from rig import Rig, assert_limits_hold, stamp, values_of
+from published import assert_limits_hold, stamp
+from rig import Rig, values_of
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from test_bad_input import HOME, JOINTS, twist

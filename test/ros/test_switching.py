@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rig import Rig, assert_limits_hold, recorded, restarts_of, stamp
+from published import assert_limits_hold, recorded, restarts_of, stamp
+from rig import Rig
 from sensor_msgs.msg import JointState
 from test_bad_input import HOME, JOINTS, pose, twist
 from test_services import at_rest, replayed
