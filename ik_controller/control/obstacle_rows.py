@@ -61,6 +61,12 @@ def obstacle_rows(
     rotation, position, axes = np.empty((m, 3, 3)), np.empty((m, 3)), np.empty((m, 3))
     placed, a, b, normal = np.empty(ends.shape), np.empty(3), np.empty(3), np.empty(3)
     at, slope, weight = np.empty(n), np.empty(n), np.empty(n)
+    middle, square, length = (
+        np.empty((count, 3)),
+        np.empty(count),
+        np.empty(count),
+    )  # twice the middle; |b − a|², |b − a|
+    outside = np.empty((kind.shape[0], count))  # how far a middle is from a solid at the first look, or less
 
     stop_time, way = 0.0, 0.0
     for i in range(n):
@@ -75,9 +81,11 @@ def obstacle_rows(
         share = min(reached / way, 1.0) if way > 0.0 else 1.0
         time = stop_time * (1.0 - math.sqrt(1.0 - share))
         change = 0.0  # how far a pair's distance can go within this cycle's choice of velocities
+        moved = 0.0  # no point of the arm has come farther since the first look
         for i in range(n):
             mine = min(time, abs(brake[i]) / deceleration[i])
             at[i] = q[i] + brake[i] * (dt + mine) - math.copysign(0.5 * deceleration[i] * mine * mine, brake[i])
+            moved += reach[i] * (abs(brake[i]) - 0.5 * deceleration[i] * mine) * mine
             # Of the braking distance v²/2a, the slope of its chord up to the hardest acceleration from here.
             # The same for a joint at rest, so that near rest the row's direction is that of the gradient.
             weight[i] = dt if look == 0 else 2.0 * dt + mine
@@ -87,19 +95,24 @@ def obstacle_rows(
         watch = settings[2] if look == 0 else 0.0
         joint_frames(chain, at, rotation, position, axes)
         place_capsules(joint, ends, rotation, position, placed)
+        for i in range(count):
+            for x in range(3):
+                middle[i, x] = placed[i, 0, x] + placed[i, 1, x]
+            if look == 0:
+                square[i] = 0.0
+                for x in range(3):
+                    d = placed[i, 1, x] - placed[i, 0, x]
+                    square[i] += d * d
+                length[i] = math.sqrt(square[i])
         for k in range(pairs.shape[0]):
             i, j = pairs[k, 0], pairs[k, 1]
             minimum = settings[1] + sag / (settings[1] + radius[i] + radius[j])
             near = max(minimum + 2.0 * change, watch) + radius[i] + radius[j]
-            between, longest_i, longest_j = 0.0, 0.0, 0.0
+            between, far = 0.0, 2.0 * near + length[i] + length[j]
             for x in range(3):
-                d = placed[i, 0, x] + placed[i, 1, x] - placed[j, 0, x] - placed[j, 1, x]
+                d = middle[i, x] - middle[j, x]
                 between += d * d
-                d = placed[i, 1, x] - placed[i, 0, x]
-                longest_i += d * d
-                d = placed[j, 1, x] - placed[j, 0, x]
-                longest_j += d * d
-            if 0.5 * (math.sqrt(between) - math.sqrt(longest_i) - math.sqrt(longest_j)) > near:
+            if between > far * far:
                 continue
             apart = segments_apart(placed[i, 0], placed[i, 1], placed[j, 0], placed[j, 1], a, b)
             distance = apart - radius[i] - radius[j]
@@ -114,7 +127,7 @@ def obstacle_rows(
                 slope, weight, distance, minimum, settings[3], look == 0, brake, low, high, dt, i, j, used, begin, rows,
                 bounds, about,
             )  # fmt: skip
-            if look > 0 or not _parallel(placed, i, j, longest_i, longest_j):
+            if look > 0 or not _parallel(placed, i, j, square[i], square[j]):
                 continue
             # Side by side the nearest point jumps from end to end: hold the ends too.
             for e in range(4):
@@ -137,16 +150,20 @@ def obstacle_rows(
                     continue
                 minimum = settings[0] + sag / (settings[0] + radius[i])
                 near = max(minimum + change, watch) + radius[i]
-                # By the sphere about the solid, then by the middle of the capsule.
-                between, longest = 0.0, 0.0
-                for x in range(3):
-                    a[x] = 0.5 * (placed[i, 0, x] + placed[i, 1, x])
-                    between += (a[x] - center[w, x]) * (a[x] - center[w, x])
-                    longest += (placed[i, 1, x] - placed[i, 0, x]) * (placed[i, 1, x] - placed[i, 0, x])
-                far = near + 0.5 * math.sqrt(longest)
-                if math.sqrt(between) - bound[w] > far:
+                far = near + 0.5 * length[i]
+                if look > 0 and outside[w, i] - moved > far:
                     continue
-                if point_apart(kind[w], size[w], turn[w], center[w], a, normal) > far:
+                # By the sphere about the solid, then by the middle of the capsule.
+                between = 0.0
+                for x in range(3):
+                    a[x] = 0.5 * middle[i, x]
+                    between += (a[x] - center[w, x]) * (a[x] - center[w, x])
+                apart = math.sqrt(between) - bound[w]
+                if apart <= far:
+                    apart = point_apart(kind[w], size[w], turn[w], center[w], a, normal)
+                if look == 0:
+                    outside[w, i] = apart
+                if apart > far:
                     continue
                 apart, where = segment_apart(
                     kind[w], size[w], turn[w], center[w], placed[i, 0], placed[i, 1], a, normal
@@ -163,7 +180,7 @@ def obstacle_rows(
                 if look > 0:
                     continue
                 for e in range(2):  # flat on a face the nearest point jumps from end to end
-                    if where != e and longest > 0.0:
+                    if where != e and length[i] > 0.0:
                         apart = point_apart(kind[w], size[w], turn[w], center[w], placed[i, e], normal)
                         if apart <= near:
                             gradient(chain, axes, position, joint[i], placed[i, e], normal, 1.0, slope, True)
@@ -237,7 +254,7 @@ def _away(a: Array, b: Array, apart: float, placed: Array, i: int, j: int, norma
 
 
 @compiled
-def _parallel(placed: Array, i: int, j: int, longest_i: float, longest_j: float) -> bool:
+def _parallel(placed: Array, i: int, j: int, square_i: float, square_j: float) -> bool:
     """Tell whether two capsules, squares of their lengths given, lie nearly side by side."""
     across = 0.0
     for x in range(3):
@@ -245,7 +262,7 @@ def _parallel(placed: Array, i: int, j: int, longest_i: float, longest_j: float)
         c = (placed[i, 1, y] - placed[i, 0, y]) * (placed[j, 1, z] - placed[j, 0, z])
         c -= (placed[i, 1, z] - placed[i, 0, z]) * (placed[j, 1, y] - placed[j, 0, y])
         across += c * c
-    return across < _PARALLEL * _PARALLEL * longest_i * longest_j
+    return across < _PARALLEL * _PARALLEL * square_i * square_j
 
 
 @compiled
