@@ -272,8 +272,8 @@ class Obstacles:
 def _nearest_allowed(
     wanted: Array, hessian: Array, low: Array, high: Array, rows: Array, bounds: Array
 ) -> tuple[Array | None, Array]:
-    """Return argmin ½ (q̇ − wanted)ᵀ H (q̇ − wanted) with G q̇ ≤ g, within [low, high] (n,), None where there is none, and
-    the rows' multipliers.
+    """Return argmin ½ (q̇ − wanted)ᵀ H (q̇ − wanted) with G q̇ ≤ g, within [low, high] (n,), and the rows' multipliers;
+    None and zeros where there is none.
     """
     n, count = wanted.size, bounds.size
     upper, lower = np.empty(n + count), np.empty(n + count)
@@ -281,7 +281,9 @@ def _nearest_allowed(
     lower[:n], lower[n:] = low, -1e30
     sense = np.zeros(n + count, dtype=np.int32)
     solution, _, flag, info = daqp.solve(hessian, -hessian.dot(wanted), rows, upper, lower, sense, primal_tol=1e-11)
-    return (solution if flag == _SOLVED else None), info["lam"][n:]
+    if flag != _SOLVED:  # DAQP leaves in the multipliers what was there before
+        return None, np.zeros(count)
+    return solution, info["lam"][n:]
 
 
 @compiled

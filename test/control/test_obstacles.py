@@ -11,6 +11,7 @@ import pytest
 import wire
 
 from ik_controller import Controller, Reference
+from ik_controller.control import obstacles
 from ik_controller.control.obstacles import Scene
 from ik_controller.control.status import Limit
 from ik_controller.errors import IkControllerError, ParameterError
@@ -218,6 +219,35 @@ def test_joint_targets_heed_obstacles_too(robot):
         step = controller.step(controller.position, Reference.joint(deeper), DT)
         assert world_distance(robot.model, controller.scene.arm, controller.scene.world, step.position) >= 0.0199
     assert step.status.limit is Limit.OBSTACLE
+
+
+def test_an_arm_without_a_way_out_says_what_it_is_stuck_in(panda, monkeypatch):
+    """Squeezed where no velocity keeps all rows: what the solver then leaves behind names nothing."""
+    home, solve = panda.model.forward(panda.home), obstacles.daqp.solve
+
+    def told(seed):
+        random, unsolved, found = np.random.default_rng(seed), 0, []
+
+        def leaving_behind(*problem, **options):
+            nonlocal unsolved
+            solution, value, flag, info = solve(*problem, **options)
+            if flag != 1:
+                unsolved += 1
+                info["lam"][:] = random.uniform(size=info["lam"].size)
+            return solution, value, flag, info
+
+        monkeypatch.setattr(obstacles.daqp, "solve", leaving_behind)
+        controller, _, below = pressed(panda, box(0.4, 0.4, 0.4).at(pin.SE3(np.eye(3), home.translation)))
+        controller.step(controller.position, Reference.pose(below), DT)  # the first command is where it is
+        for _ in range(50):
+            step = controller.step(controller.position, Reference.pose(below), DT)
+            found.append((step.status.limit, *step.status.pair, step.status.distance))
+        assert unsolved
+        return found
+
+    once = told(1)
+    assert all(limit is Limit.OBSTACLE and other == "solid" and away < 0.0 for limit, _, other, away in once)
+    assert told(2) == once
 
 
 def test_an_obstacle_that_comes_too_near_is_backed_away_from(robot):
