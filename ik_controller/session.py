@@ -283,6 +283,8 @@ class Session:
         """
         if not self._running or self.paused or self._restarting or self.goal.under_way:
             return None
+        if not self.controller.goes_ahead(self.dt):
+            return None
         references = self.targets.references(times, self.dt)
         gone = None if references is None else self.controller.go_ahead(*references, self.dt)
         if gone is None:

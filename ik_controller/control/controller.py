@@ -173,18 +173,21 @@ class Controller:
         self._keep(np.concatenate((*self._gate.braking(dt), _ZERO)))
         return Step(self._q, self._v, np.zeros(6), Status(Code.FAULT, reason=self.fault))
 
+    def goes_ahead(self, dt: float) -> bool:
+        """Tell whether nothing but the law has a say in the next cycles, dt [s] each, by what is known before them."""
+        law = self._law
+        plain = law.in_kernel and law.stack is None and self.parameters.integration_base == "commanded"
+        ready = self._started and not (self._fresh or self._outside or self.fault) and dt == self._checked_dt
+        return HAS_NUMBA and plain and ready and not self._obstacles.watching
+
     def go_ahead(self, poses: Array, twists: Array, dt: float) -> tuple[Array, Reference, Status] | None:
-        """Run the next cycles, dt [s] each, to poses (k, 4, 3), rotation over position, with twists (k, 6): as many as
-        nothing but the law has a say in.
+        """Run the next cycles, where it `goes_ahead`: to poses (k, 4, 3), rotation over position, with twists (k, 6);
+        as many as nothing but the law has a say in.
 
         Return their states (k, 2n + 12): position, velocity, the tool's velocity, error; with the last one's reference
         and status. None where `step` has to run the first one.
         """
         law, n, count = self._law, self._n, len(poses)
-        plain = law.in_kernel and law.stack is None and self.parameters.integration_base == "commanded"
-        ready = self._started and not (self._fresh or self._outside or self.fault) and dt == self._checked_dt
-        if not (HAS_NUMBA and plain and ready) or self._obstacles.watching:
-            return None
         states, memories = np.empty((count + 1, 2 * n + 12)), np.empty((count + 1, 3, n))
         states[0, : 2 * n + 6], memories[0] = self._state[: 2 * n + 6], self._gate.memory
         outcomes = np.empty((count, 5))
