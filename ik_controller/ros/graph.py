@@ -19,6 +19,7 @@ from std_msgs.msg import String
 from ik_controller.findings import Finding
 from ik_controller.kinematics.model import RobotModel
 from ik_controller.parameters import ControllerParameters
+from ik_controller.ros.publishers import name_of
 from ik_controller.ros.reasons import LEVELS, OK, REASONS, what_to_do
 
 _STREAMS = {"target_pose": PoseStamped, "target_twist": TwistStamped}
@@ -134,14 +135,14 @@ class Graph:
             subject = f"topic {topic}"
             for publisher in publishers:
                 if role in _TAKEN and publisher.topic_type != _type(_TAKEN[role]):
-                    message = f"{_who(publisher)} sends {publisher.topic_type}, taken is {_type(_TAKEN[role])}"
+                    message = f"{name_of(publisher)} sends {publisher.topic_type}, taken is {_type(_TAKEN[role])}"
                     found.append(Finding("error", subject, message, "send the other type, or remap it away"))
                 for subscriber in subscribers:
                     if publisher.topic_type != subscriber.topic_type:
                         continue
                     verdict, reason = qos_check_compatible(publisher.qos_profile, subscriber.qos_profile)
                     if verdict == QoSCompatibility.ERROR:
-                        message = f"{_who(subscriber)} cannot hear {_who(publisher)}: {' '.join(reason.split())}"
+                        message = f"{name_of(subscriber)} cannot hear {name_of(publisher)}: {' '.join(reason.split())}"
                         found.append(Finding("error", subject, message, "change the quality of service of one of them"))
         return found
 
@@ -287,9 +288,5 @@ def _type(kind: Any) -> str:
     return f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
 
 
-def _who(endpoint: Any) -> str:
-    return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
-
-
 def _all(endpoints: list[Any]) -> str:
-    return ", ".join(sorted(map(_who, endpoints)))
+    return ", ".join(sorted(map(name_of, endpoints)))

@@ -9,6 +9,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 _EVERY = 0.5  # [s] between looks
+_UNKNOWN = "_NODE_NAME_UNKNOWN_"  # what rmw calls it
 _SEVERAL = ("joint_states", "obstacles")  # may have more than one publisher
 
 
@@ -48,7 +49,7 @@ class PublisherWatch:
             reason = ""
             if policy != "allow" and self._node.count_publishers(topic) > 1:
                 senders = self._node.get_publishers_info_by_topic(topic)
-                names = sorted(_name(sender) for sender in senders)
+                names = sorted(name_of(sender) for sender in senders)
                 if len(names) > 1:
                     reason = f"{len(names)} publishers on {topic}: {', '.join(names)}"
             if reason and reason != self._reasons.get(role):
@@ -67,5 +68,8 @@ class PublisherWatch:
         self._node.destroy_timer(self._timer)
 
 
-def _name(sender: Any) -> str:
-    return f"{sender.node_namespace.rstrip('/')}/{sender.node_name}"
+def name_of(endpoint: Any) -> str:
+    """Return the full name of a publisher's or subscriber's node; discovery may tell of these before their node."""
+    if endpoint.node_name == _UNKNOWN:
+        return "a node without a name yet"
+    return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
