@@ -120,6 +120,7 @@ def test_two_arms_in_namespaces_of_their_own_each_with_its_arm(rig: Rig) -> None
         states[side] = rig.heard[f"{side}_states"]
     for side in ARMS:
         rig.until_new(side, lambda s: "holding" in s.message, f"{side} to hold")
+        rig.until(lambda side=side: states[side], f"joint states of {side}")
     start = list(states["right"][-1].position)
     targets = str(figure_bag(rig.folder / "targets", 0.5))
     rig.start("stream", [*CLI, "stream", targets, "--loop", "--patience", "60", "--ros-args", "-r", "__ns:=/left"])
