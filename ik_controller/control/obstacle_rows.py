@@ -61,12 +61,10 @@ def obstacle_rows(
     rotation, position, axes = np.empty((m, 3, 3)), np.empty((m, 3)), np.empty((m, 3))
     placed, a, b, normal = np.empty(ends.shape), np.empty(3), np.empty(3), np.empty(3)
     at, slope, weight = np.empty(n), np.empty(n), np.empty(n)
-    middle, square, length = (
-        np.empty((count, 3)),
-        np.empty(count),
-        np.empty(count),
-    )  # twice the middle; |b − a|², |b − a|
-    outside = np.empty((kind.shape[0], count))  # how far a middle is from a solid at the first look, or less
+    # Of each capsule: twice its middle, its length squared and as it is, and how far that middle is from each solid at
+    # the first look, or less.
+    middle, square, length = np.empty((count, 3)), np.empty(count), np.empty(count)
+    outside = np.empty((kind.shape[0], count))
 
     stop_time, way = 0.0, 0.0
     for i in range(n):

@@ -54,7 +54,7 @@ def _follow(
     cubic: Array, duration: float, times: Array, dt: float, poses: Array, twists: Array, turns: Array, spans: Array
 ) -> None:
     """Write all of the references but rotations: positions, velocities, φ at both ends of each step (k, 2, 3), and how
-    long the steps are (k,) [s].
+    long the steps are (k,) [s]; `cubic` (4, 6): coefficients of p and φ.
     """
     for k in range(times.shape[0]):
         spans[k] = min(dt, max(duration - times[k], 1e-9))

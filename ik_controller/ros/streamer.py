@@ -17,6 +17,7 @@ from trajectory_msgs.msg import MultiDOFJointTrajectory
 from ik_controller.endings import on_signal
 from ik_controller.errors import IkControllerError
 from ik_controller.recording.target_bag import TargetBag, restamped
+from ik_controller.ros.loop import clocks
 from ik_controller.ros.polling import PolledGroup, PolledSubscription
 from ik_controller.ros.start import full_name, start_ros
 
@@ -78,7 +79,7 @@ def stream(
             time.sleep(0.02)
         sent = 0
         while not stopped:
-            start, epoch = time.monotonic_ns(), time.time_ns()
+            start, epoch = clocks()
             for target in targets:
                 if duration is not None and target.time > duration * 1e9:
                     break

@@ -226,13 +226,12 @@ def test_an_arm_without_a_way_out_says_what_it_is_stuck_in(panda, monkeypatch):
     home, solve = panda.model.forward(panda.home), obstacles.daqp.solve
 
     def told(seed):
-        random, unsolved, found = np.random.default_rng(seed), 0, []
+        random, unsolved, found = np.random.default_rng(seed), [], []
 
         def leaving_behind(*problem, **options):
-            nonlocal unsolved
             solution, value, flag, info = solve(*problem, **options)
             if flag != 1:
-                unsolved += 1
+                unsolved.append(flag)
                 info["lam"][:] = random.uniform(size=info["lam"].size)
             return solution, value, flag, info
 
@@ -240,8 +239,8 @@ def test_an_arm_without_a_way_out_says_what_it_is_stuck_in(panda, monkeypatch):
         controller, _, below = pressed(panda, box(0.4, 0.4, 0.4).at(pin.SE3(np.eye(3), home.translation)))
         controller.step(controller.position, Reference.pose(below), DT)  # the first command is where it is
         for _ in range(50):
-            step = controller.step(controller.position, Reference.pose(below), DT)
-            found.append((step.status.limit, *step.status.pair, step.status.distance))
+            status = controller.step(controller.position, Reference.pose(below), DT).status
+            found.append((status.limit, *status.pair, status.distance))
         assert unsolved
         return found
 
