@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 from ik_controller.control.interval import highest, stop_braking
 from ik_controller.control.least_distance import active_set, least_distance
 from ik_controller.kinematics.accelerate import compiled
+from ik_controller.kinematics.scratch import scratch, scratch_table
 from ik_controller.kinematics.small import DEPENDENT, inverse_factor, row_space
 
 Array = NDArray[np.float64]
@@ -77,15 +78,16 @@ def bounded_velocity(
     [low, high].
     """
     n, m = wanted.shape[0], jacobian.shape[0]
-    task, aim, largest = np.empty((m, n)), np.empty(n), 1.0
+    task, aim, largest = scratch_table(m, n), scratch(n), 1.0
     for j in range(n):
         aim[j] = wanted[j] / limit[j]
         largest = max(largest, abs(aim[j]))
         for i in range(m):
             task[i, j] = jacobian[i, j] * limit[j]
     tolerance = TOLERANCE * largest
-    null, before = row_space(task, last)
-    ways, y, found = np.zeros((2, n)), np.empty(n), ALONG
+    basis, before = scratch_table(n, n), scratch(n)
+    null = basis[: row_space(task, last, basis, before)]
+    ways, y, found = scratch_table(2, n), scratch(n), ALONG
     omega, ease, free = math.sqrt(SCALE_WEIGHT), aim, null
     if own is not None:
         omega, ease, free = math.sqrt(_STACK_WEIGHT), own / limit, null.copy()
@@ -95,18 +97,18 @@ def bounded_velocity(
     if not solved:
         for j in range(n):
             ways[0, j], ways[1, j] = -aim[j], before[j]
-        most = _most_at_ease(ease, ways[1], null, limit, step)
+        part = scratch(n)
+        most = _most_at_ease(ease, before, null, limit, step, part)
         if motion is not None:
-            fastest, turn = math.inf, _turning(ways[1], null, limit, motion)
+            fastest, turn = math.inf, _turning(before, null, limit, motion, scratch(n))
             if math.isfinite(motion[2].min()):
-                slowest, jerky = _slowest(ways[1], turn, limit, step, motion), True
-                none = np.empty(0)
+                slowest, jerky = _slowest(before, turn, limit, step, motion), True
                 solved, fastest = _on_path(
-                    aim, ways, omega, 1, 1.0, 0.0, null, -limit, limit, limit, rows[:0], none, tolerance, y
+                    aim, ways, omega, 1, 1.0, 0.0, null, -limit, limit, limit, rows[:0], row_bounds[:0], tolerance, y
                 )
                 fastest = _SPEED_SHARE * fastest if solved else 0.0
             if ahead:
-                most = min(most, _most_ahead(aim, ways[1], turn, null, limit, step, motion, fastest))
+                most = min(most, _most_ahead(aim, before, turn, null, limit, step, motion, fastest, part))
         solved, scale = _on_path(aim, ways, omega, 1, most, 0.0, free, low, high, limit, rows, row_bounds, tolerance, y)
     # With jerk limits the tool must perhaps go on speeding up, and must not slow down too hard to land at rest.
     for attempt in range(3 if jerky else 1):
@@ -130,7 +132,7 @@ def _weigh(null: Array, secondary: Array, weights: Array, limit: Array) -> None:
     it, and divide each of these by √weight: as an unknown it then costs that weight.
     """
     (p, n), first = null.shape, 0
-    mirror = np.empty(p)
+    mirror = scratch(p)
     for task in range(secondary.shape[0]):
         square, size = 0.0, 0.0
         for i in range(first, p):
@@ -156,27 +158,29 @@ def _weigh(null: Array, secondary: Array, weights: Array, limit: Array) -> None:
 
 
 @compiled
-def _moving_part(vector: Array, null: Array) -> Array:
-    """Return what of a vector (n,) moves the tool: the rest of it beside `null` (p, n)."""
-    part: Array = vector.copy()
+def _take_moving_part(vector: Array, null: Array, part: Array) -> None:
+    """Write what of a vector (n,) moves the tool: the rest of it beside `null` (p, n)."""
+    n = vector.shape[0]
+    for j in range(n):
+        part[j] = vector[j]
     for i in range(null.shape[0]):
         total = 0.0
-        for j in range(vector.shape[0]):
+        for j in range(n):
             total += null[i, j] * vector[j]
-        for j in range(vector.shape[0]):
+        for j in range(n):
             part[j] -= total * null[i, j]
-    return part
 
 
 @compiled
-def _most_at_ease(aim: Array, last: Array, null: Array, limit: Array, step: Array) -> float:
+def _most_at_ease(aim: Array, last: Array, null: Array, limit: Array, step: Array, part: Array) -> float:
     """Return the largest s ≤ 1 that the tool can be brought to in this cycle without help from the null space.
 
-    `last` b (n,): the part of the last velocity that moved the tool; a, the same part of `aim` (n,). With s_last =
-    a·b/a·a the joints change by s aim − b − s_last (aim − a), each by its `step` (n,) at most; 1 where no s does that.
+    `last` b (n,): the part of the last velocity that moved the tool; a, the same `part` (n,) of `aim` (n,), is written
+    here. With s_last = a·b/a·a the joints change by s aim − b − s_last (aim − a), each by its `step` (n,) at most; 1
+    where no s does that.
     """
-    n = aim.shape[0]
-    part, along, square = _moving_part(aim, null), 0.0, 0.0
+    n, along, square = aim.shape[0], 0.0, 0.0
+    _take_moving_part(aim, null, part)
     for j in range(n):
         along += part[j] * last[j]
         square += part[j] * part[j]
@@ -192,12 +196,13 @@ def _most_at_ease(aim: Array, last: Array, null: Array, limit: Array, step: Arra
 
 
 @compiled
-def _turning(last: Array, null: Array, limit: Array, motion: Array) -> Array:
-    """Return by how much the joints (n,) must change in a cycle to keep the tool's velocity while J changes: J⁺ẋ_last,
-    which is `last`, − P q̇, with P onto what moves the tool.
+def _turning(last: Array, null: Array, limit: Array, motion: Array, turn: Array) -> Array:
+    """Write by how much the joints (n,) must change in a cycle to keep the tool's velocity while J changes to `turn`
+    and return that: J⁺ẋ_last, which is `last`, − P q̇, with P onto what moves the tool.
     """
     n = last.shape[0]
-    turn: Array = last - motion[0] / limit
+    for j in range(n):
+        turn[j] = last[j] - motion[0, j] / limit[j]
     for i in range(null.shape[0]):
         idle = 0.0
         for j in range(n):
@@ -209,7 +214,15 @@ def _turning(last: Array, null: Array, limit: Array, motion: Array) -> Array:
 
 @compiled
 def _most_ahead(
-    aim: Array, last: Array, turn: Array, null: Array, limit: Array, step: Array, motion: Array, fastest: float
+    aim: Array,
+    last: Array,
+    turn: Array,
+    null: Array,
+    limit: Array,
+    step: Array,
+    motion: Array,
+    fastest: float,
+    part: Array,
 ) -> float:
     """Return the largest s after which the joints can go on along the path, as far as this cycle shows it.
 
@@ -218,8 +231,8 @@ def _most_ahead(
     jerk limits, s itself moves like one joint whose limits are those of the joint that has the least for its part in
     `aim`: so none lets go of its acceleration faster than the others can, before s is at `fastest`. Arrays as above.
     """
-    n = aim.shape[0]
-    part, along, square, change = _moving_part(aim, null), 0.0, 0.0, 0.0
+    n, along, square, change = aim.shape[0], 0.0, 0.0, 0.0
+    _take_moving_part(aim, null, part)
     unit, hardest, curve = math.inf, math.inf, 0.0
     for j in range(n):
         along += part[j] * last[j]
@@ -291,8 +304,11 @@ def _on_path(
     p = count + null.shape[0]
     start = most if count == 1 else 1.0  # s₁ where t₁ = 0
     first = n + (4 if count == 2 else count)  # the first row of G
-    c, ends, x = np.zeros((first + k, p)), np.empty((2, first + k)), np.empty(p)
+    c, ends, x = scratch_table(first + k, p), scratch_table(2, first + k), scratch(p)
     lower, upper = ends[0], ends[1]
+    for row in range(n, first + k):
+        for column in range(p):
+            c[row, column] = 0.0
     for j in range(n):
         for way in range(count):
             c[j, way] = ways[way, j] / omega
@@ -361,8 +377,9 @@ def _closest(
     this is the shortest (x, √ρ violations).
     """
     n, m, k = aim.shape[0], jacobian.shape[0], row_bounds.shape[0]
-    pull, across, direction, square = np.zeros((n, n)), np.empty((m, n)), np.zeros(m), 0.0
+    pull, across, direction, square = scratch_table(n, n), scratch_table(m, n), scratch(m), 0.0
     for row in range(m):
+        direction[row] = 0.0
         for j in range(n):
             across[row, j] = jacobian[row, j] * limit[j]
             direction[row] += across[row, j] * aim[j]
@@ -378,8 +395,13 @@ def _closest(
             pull[i, j] = _CLOSEST_WEIGHT if i == j else 0.0
             for row in range(m):
                 pull[i, j] += across[row, i] * across[row, j]
-    _, factor = inverse_factor(pull)  # L⁻¹
-    c, lower, upper, x = np.zeros((n + k, n + k)), np.empty(n + k), np.empty(n + k), np.zeros(n + k)
+    factor = scratch_table(n, n)
+    inverse_factor(pull, factor)  # L⁻¹
+    c, lower, upper, x = scratch_table(n + k, n + k), scratch(n + k), scratch(n + k), scratch(n + k)
+    for i in range(n + k):
+        x[i] = 0.0
+        for column in range(n + k):
+            c[i, column] = 0.0
     for j in range(n):
         for column in range(j, n):
             c[j, column] = factor[column, j]

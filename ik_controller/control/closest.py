@@ -55,9 +55,8 @@ def slide(
     if not (most < NEAR).any():
         return np.zeros(n), 0.0, -1
     error = axes.T @ task_velocity / fastest
-    factor = np.linalg.inv(
-        np.linalg.cholesky(curved_squares(task, bend(jacobian, error), _DAMPING) * np.outer(speed, speed))
-    )
+    squares = curved_squares(task, bend(jacobian, error, np.empty((n, n))), _DAMPING, np.empty((n, n)))
+    factor = np.linalg.inv(np.linalg.cholesky(squares * np.outer(speed, speed)))
     free = factor.T @ (factor @ (speed * (task.T @ task_velocity)))
     rest = np.zeros(n)
     if not least_distance(

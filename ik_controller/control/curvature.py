@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.kinematics.accelerate import compiled
+from ik_controller.kinematics.scratch import scratch, scratch_table
 from ik_controller.kinematics.small import inverse_spd, spectrum, times, transposed_times
 
 Array = NDArray[np.float64]
@@ -28,10 +29,9 @@ _IN_FULL = 4.0  # a quarter of the second derivative is enough to take the step 
 
 
 @compiled
-def bend(jacobian: Array, error: Array) -> Array:
-    """Return C (n, n) for the tool's `jacobian` (6, n) and `error` e (6,) [m, rad]."""
+def bend(jacobian: Array, error: Array, result: Array) -> Array:
+    """Write C (n, n) to `result` and return that, for the tool's `jacobian` (6, n) and `error` e (6,) [m, rad]."""
     n = jacobian.shape[1]
-    result = np.empty((n, n))
     ex, ey, ez, rx, ry, rz = error[0], error[1], error[2], 0.5 * error[3], 0.5 * error[4], 0.5 * error[5]
     for i in range(n):
         x, y, z = jacobian[3, i], jacobian[4, i], jacobian[5, i]
@@ -47,11 +47,10 @@ def bend(jacobian: Array, error: Array) -> Array:
 
 
 @compiled
-def curved_squares(rows: Array, bent: Array, damping: float) -> Array:
-    """Return M (n, n) for the `rows` J (m, n) of the task, `bent` C (n, n) and `damping` λ."""
+def curved_squares(rows: Array, bent: Array, damping: float, result: Array) -> Array:
+    """Write M (n, n) to `result` and return that, for the task's `rows` J (m, n), `bent` C (n, n) and `damping` λ."""
     m, n = rows.shape
     values, axes = spectrum(bent)
-    result = np.empty((n, n))
     for i in range(n):
         for j in range(i + 1):
             total = damping * damping if i == j else 0.0
@@ -93,8 +92,9 @@ def follow_bend(
 
     `rows` J (m, n) and `feedback` K e (m,) of the task; `jacobian` (6, n) and `error` (6,) of the tool.
     """
-    bent = bend(jacobian, error)
-    moved, image = times(bent, approach), times(rows, approach)
+    m, n = rows.shape
+    bent = bend(jacobian, error, scratch_table(n, n))
+    moved, image = times(bent, approach, scratch(n)), times(rows, approach, scratch(m))
     curved, straight = 0.0, 0.0
     for j in range(approach.shape[0]):
         # A little more than C, so that M decides where the tool hardly moves along d at all.
@@ -104,6 +104,8 @@ def follow_bend(
     if not curved > 0.0:
         return
     share = near * min(_IN_FULL * curved / (curved + straight), 1.0)
-    step = times(inverse_spd(curved_squares(rows, bent, damping)), transposed_times(rows, feedback))
+    squares = curved_squares(rows, bent, damping, scratch_table(n, n))
+    pull, step = transposed_times(rows, feedback, scratch(n)), scratch(n)
+    times(inverse_spd(squares, scratch_table(n, n)), pull, step)
     for j in range(approach.shape[0]):
         approach[j] += share * (step[j] - approach[j])

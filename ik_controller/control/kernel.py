@@ -19,6 +19,7 @@ from ik_controller.control.reach import ACCELERATION, JERK, LAST, VELOCITY, velo
 from ik_controller.kinematics.accelerate import compiled
 from ik_controller.kinematics.damped_inverse import damped_gram_inverse
 from ik_controller.kinematics.levenberg_marquardt import kinematics, kinematics_pose, rotation_log
+from ik_controller.kinematics.scratch import borrowed, scratch, scratch_table
 from ik_controller.kinematics.small import gram, times, transposed_times
 
 Array = NDArray[np.float64]
@@ -140,20 +141,20 @@ def bound_tool(
     accelerations allow; `last` ẋ_last (6,). J⁺ẋ_last is v + Jᵀ · `inverse` · (ẋ_last − J v), v (n,) the last velocity.
     """
     n, bound = wanted.shape[0], law[SCALARS]
-    speed, limit = times(jacobian, wanted), FREE
+    speed, limit = times(jacobian, wanted, scratch(6)), FREE
     slower = 1.0 / max(longer(speed, bound[TOOL_SPEED], bound[TOOL_SPEED + 1]), 1.0)
     if slower < 1.0:
         limit = BY_TOOL_SPEED
         for j in range(n):
             wanted[j] *= slower
-    change, rest = np.empty(6), times(jacobian, v)
+    change, rest = scratch(6), times(jacobian, v, scratch(6))
     for i in range(6):
         change[i], rest[i] = slower * speed[i] - last[i], last[i] - rest[i]
     share = longer(change, bound[TOOL_ACCELERATION] * dt, bound[TOOL_ACCELERATION + 1] * dt)
     if not share > 1.0:
         return slower, limit
     share = 1.0 / share
-    before = transposed_times(jacobian, times(inverse, rest))
+    before = transposed_times(jacobian, times(inverse, rest, scratch(6)), scratch(n))
     for j in range(n):
         wanted[j] = share * wanted[j] + (1.0 - share) * (v[j] + before[j])
     along, square = 0.0, 0.0
@@ -172,15 +173,15 @@ def task_velocity(
     share: float,
     law: Array,
     at: Array,
-) -> Array:
-    """Return J⁺(ẋ_d + β K e) + (I − J⁺J) q̇₀ (n,), with J⁺ = Jᵀ · `inverse`.
+    wanted: Array,
+) -> None:
+    """Write J⁺(ẋ_d + β K e) + (I − J⁺J) q̇₀ (n,), with J⁺ = Jᵀ · `inverse`.
 
     `feed_forward` ẋ_d (6,), `approach` J⁺K e (n,), of which `share` is followed; `law` as above; q̇₀ leads from `at`
     (n,) to the posture, slowed as a whole to its limits.
     """
     m, n = jacobian.shape
-    gain, ratio, space = law[SCALARS, 1], 1.0, np.empty((2, max(m, n)))
-    seek, steady = space[0], space[1]
+    gain, ratio, seek, steady = law[SCALARS, 1], 1.0, scratch(n), scratch(m)
     for j in range(n):
         seek[j] = gain * (law[POSTURE, j] - at[j])
         ratio = max(ratio, abs(seek[j]) / law[SEEK_LIMIT, j])
@@ -189,10 +190,9 @@ def task_velocity(
         for j in range(n):
             steady[i] -= jacobian[i, j] * (seek[j] / ratio)
     beta = share * braking_factor(approach, share * law[SCALARS, 0], law[BRAKING : BRAKING + 2])
-    result = transposed_times(jacobian, times(inverse, steady[:m]))
+    transposed_times(jacobian, times(inverse, steady, scratch(m)), wanted)
     for j in range(n):
-        result[j] += seek[j] / ratio + beta * approach[j]
-    return result
+        wanted[j] += seek[j] / ratio + beta * approach[j]
 
 
 @compiled
@@ -221,6 +221,9 @@ def tool_cycle(
     take in each.
     """
     n = at.shape[0]
+    chain, law, limits, state, at, position, rotation, twist, feedback, out, detail = borrowed(
+        (chain, law, limits, state, at, position, rotation, twist, feedback, out, detail)
+    )
     wanted, jacobian = detail[0], detail[1:]
     sigma, slower, by_tool = tool_velocity(
         chain, law, state, limits[LAST], at, position, rotation, twist, feedback, measure, dt, out[2 * n + 6 :],
@@ -255,27 +258,29 @@ def tool_velocity(
     `acceleration` (n, and more): the last ones. `error` e (6,) is written where `measure`; the rest as in `tool_cycle`.
     """
     n = at.shape[0]
-    middle, tool, turn = np.empty(n), np.empty(3), np.empty((3, 3))
+    middle, tool, turn, pull = scratch(n), scratch(3), scratch_table(3, 3), scratch(6)
     if measure:
         kinematics_pose(chain, at, turn, tool)
         for i in range(3):
             error[i] = position[i] - tool[i]
         rotation_log(rotation, turn, error[3:])
-        feedback = times(law[:6, :6], error)
+        feedback = times(law[:6, :6], error, scratch(6))
     for j in range(n):
         middle[j] = at[j] + 0.5 * dt * (state[n + j] + dt * acceleration[j])  # as if the acceleration stayed
     kinematics(chain, middle, turn, tool, jacobian)
     threshold = law[SCALARS, 3]
-    inverse, sigma = damped_gram_inverse(gram(jacobian), law[SCALARS, 2], threshold, int(law[SCALARS, 4]))
-    approach = transposed_times(jacobian, times(inverse, feedback))
+    squares, inverse = gram(jacobian, scratch_table(6, 6)), scratch_table(6, 6)
+    sigma = damped_gram_inverse(squares, law[SCALARS, 2], threshold, inverse, int(law[SCALARS, 4]))
+    approach = transposed_times(jacobian, times(inverse, feedback, scratch(6)), scratch(n))
     if sigma < 4.0 * threshold:
-        pull = feedback / law[SCALARS, 0]
+        for i in range(6):
+            pull[i] = feedback[i] / law[SCALARS, 0]
         near = nearness(jacobian, pull, sigma, law[SCALARS, 2], threshold)
         if near > 0.0:
             follow_bend(approach, jacobian, jacobian, feedback, pull, near, law[SCALARS, 2])
     bounded = not tool_is_free(law)
     share = stoppable_share(feedback, law) if bounded else 1.0
-    wanted[:] = task_velocity(jacobian, inverse, twist, approach, share, law, at)
+    task_velocity(jacobian, inverse, twist, approach, share, law, at, wanted)
     slower, limit = 1.0, FREE
     if bounded:
         slower, limit = bound_tool(wanted, jacobian, inverse, state[2 * n :], state[n : 2 * n], law, dt)
@@ -306,11 +311,11 @@ def bounded_cycle(
     n = wanted.shape[0]
     q, v = state[:n], state[n : 2 * n]
     how, scale, joint, limit = 0, 1.0, -1, FREE
-    reach = np.empty(2 * n)
+    reach = scratch(2 * n)
     velocity_interval(q, v, dt, limits, reserve, reach)
     velocity = wanted
     if not within(wanted, reach):
-        excess, speeds = 0.0, np.empty(n)
+        excess, speeds, low = 0.0, scratch(n), scratch(n)
         for j in range(n):
             if not math.isfinite(wanted[j]):
                 return NOT_FINITE, 0.0, j, FREE
@@ -320,20 +325,20 @@ def bounded_cycle(
                 excess, joint = over, j
         if excess > 0.0:
             limit = held_by(joint, wanted[joint], v, dt, limits, reach)
-        velocity, step, motion = np.empty(n), np.empty(n), np.empty((3, n))
+        velocity, step, motion = scratch(n), scratch(n), scratch_table(3, n)
         for j in range(n):
+            low[j] = -reach[n + j]
             step[j] = limits[ACCELERATION, j] * dt
             motion[0, j], motion[1, j], motion[2, j] = v[j], limits[LAST, j] * dt, limits[JERK, j] * dt * dt
-        low, high = -reach[n:], reach[:n]
-        rows, bounds = np.empty((0, n)), np.empty(0)  # obstacles have a problem of their own
+        rows, bounds = scratch_table(0, n), scratch(0)  # obstacles have a problem of their own
         if task is None:
             scale, how = bounded_velocity(
-                wanted, jacobian, state[2 * n :], low, high, speeds, step, rows, bounds, velocity, None, None,
+                wanted, jacobian, state[2 * n :], low, reach[:n], speeds, step, rows, bounds, velocity, None, None,
                 None, motion, ahead,
             )  # fmt: skip
         else:
             scale, how = bounded_velocity(
-                wanted, task, last, low, high, speeds, step, rows, bounds, velocity, own, secondary, weights,
+                wanted, task, last, low, reach[:n], speeds, step, rows, bounds, velocity, own, secondary, weights,
                 motion, ahead,
             )  # fmt: skip
     for j in range(n):

@@ -127,7 +127,8 @@ class Law:
         """Bring `wanted` (n,), in place, within the tool's bounds: see `kernel.bound_tool`."""
         if not tool_is_free(self.table):
             table = self.table[SCALARS]
-            sharp, _ = damped_gram_inverse(jacobian @ jacobian.T, float(table[2]), float(table[3]))
+            sharp = np.empty((6, 6))
+            damped_gram_inverse(jacobian @ jacobian.T, float(table[2]), float(table[3]), sharp)
             bound_tool(wanted, jacobian, sharp, last, v, self.table, dt)
 
     def bound_joints(

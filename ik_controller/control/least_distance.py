@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.kinematics.accelerate import HAS_NUMBA, compiled
+from ik_controller.kinematics.scratch import scratch_integers, scratch_table
 
 Array = NDArray[np.float64]
 
@@ -32,15 +33,14 @@ def active_set(rows: Array, lower: Array, upper: Array, tolerance: float, x: Arr
     k, p = rows.shape
     if p <= 1:
         return nearest_number(rows, lower, upper, tolerance, x)
-    # Few arrays: making one costs as much as a dozen steps of the loops.
-    space = np.zeros((2 * p + 3, p))
-    basis, r = space[:p], space[p : 2 * p]  # Q; R in the upper left corner
-    multiplier, change, normal = space[2 * p], space[2 * p + 1], space[2 * p + 2]
-    index = np.zeros(p + k, dtype=np.int64)  # the rows of the held bounds, and whether each row is held
-    holds = index[p:]
-    held = 0
+    basis, r, vectors = scratch_table(p, p), scratch_table(p, p), scratch_table(3, p)  # Q; R in the upper left corner
+    multiplier, change, normal = vectors[0], vectors[1], vectors[2]
+    index, holds, held = scratch_integers(p), scratch_integers(k), 0  # the rows of the held bounds; is each row held?
+    for i in range(k):
+        holds[i] = 0
     for i in range(p):
-        basis[i, i] = 1.0
+        for j in range(p):
+            basis[i, j] = 1.0 if i == j else 0.0
         x[i] = 0.0
     for _ in range(10 * (k + p)):
         violation, worst, sign = tolerance, -1, 0.0

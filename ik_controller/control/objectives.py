@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.kinematics.accelerate import compiled
+from ik_controller.kinematics.scratch import scratch_table
 from ik_controller.kinematics.small import gram, inverse_spd, product
 
 Array = NDArray[np.float64]
@@ -58,8 +59,7 @@ def add_repulsion(q: Array, lower: Array, upper: Array, gain: float, velocity: A
 def manipulability(rows: Array) -> float:
     """Return √det(A Aᵀ) of A (m, n), the product of its singular values: of the pivots of its Cholesky factor."""
     m = rows.shape[0]
-    low = gram(rows)
-    result = 1.0
+    low, result = gram(rows, scratch_table(m, m)), 1.0
     for j in range(m):
         for i in range(j, m):
             total = low[i, j]
@@ -78,14 +78,14 @@ def manipulability(rows: Array) -> float:
 @compiled
 def add_manipulability(jacobian: Array, selection: Array, gain: float, velocity: Array) -> None:
     """Add k ∇H of the manipulability of A = `selection` (m, 6) · J (6, n) to `velocity` (n,); nothing at H = 0."""
-    n = jacobian.shape[1]
-    rows = product(selection, jacobian)
-    inverse = inverse_spd(gram(rows))
+    m, n = selection.shape[0], jacobian.shape[1]
+    rows = product(selection, jacobian, scratch_table(m, n))
+    inverse = inverse_spd(gram(rows, scratch_table(m, m)), scratch_table(m, m))
     height = manipulability(rows)
     if selection.shape[0] == 0 or not inverse[0, 0] > 0.0:
         return
     # ∂H/∂q_k = H Σ_j g_j · ∂J_j/∂q_k with the columns g_j of selectionᵀ (A Aᵀ)⁻¹ A.
-    slope = product(selection.T.copy(), product(inverse, rows))
+    slope = product(selection.T.copy(), product(inverse, rows, scratch_table(m, n)), scratch_table(6, n))
     for k in range(n):
         total = 0.0
         for j in range(n):

@@ -16,6 +16,7 @@ from ik_controller.control.interval import stop_braking, stop_distance
 from ik_controller.kinematics.accelerate import compiled
 from ik_controller.kinematics.collision import joint_frames, place_capsules
 from ik_controller.kinematics.collision_distance import point_apart, segment_apart, segments_apart
+from ik_controller.kinematics.scratch import borrowed, scratch, scratch_block, scratch_table
 
 Array = NDArray[np.float64]
 
@@ -55,15 +56,17 @@ def obstacle_rows(
     distance [m] now or along the braking path, and what braking makes of the row. The nearest: (distance [m], capsule,
     other).
     """
-    joint, ends, radius, pairs, reach = arm
-    kind, size, turn, center, bound = world
+    chain, (joint, ends, radius, pairs, reach), (kind, size, turn, center, bound) = borrowed((chain, arm, world))
+    q, low, high, brake, deceleration, settings, rows, bounds, about = borrowed(
+        (q, low, high, brake, deceleration, settings, rows, bounds, about)
+    )
     n, count, m = q.shape[0], joint.shape[0], chain[3].shape[0]
-    rotation, position, axes = np.empty((m, 3, 3)), np.empty((m, 3)), np.empty((m, 3))
-    placed, a, b, normal = np.empty(ends.shape), np.empty(3), np.empty(3), np.empty(3)
-    at, slope, weight = np.empty(n), np.empty(n), np.empty(n)
+    rotation, position, axes = scratch_block(m, 3, 3), scratch_table(m, 3), scratch_table(m, 3)
+    placed, a, b, normal = scratch_block(count, 2, 3), scratch(3), scratch(3), scratch(3)
+    at, slope, weight = scratch(n), scratch(n), scratch(n)
     # Of each capsule: twice its middle, its length squared and as it is, and how far that middle is from each solid at
     # the first look, or less.
-    middle, square, length = np.empty((count, 3)), np.empty(count), np.empty(count)
+    middle, square, length = scratch_table(count, 3), scratch(count), scratch(count)
     outside = np.empty((kind.shape[0], count))
 
     stop_time, way = 0.0, 0.0

@@ -23,6 +23,7 @@ from ik_controller.control.selection import cross
 from ik_controller.kinematics.accelerate import compiled
 from ik_controller.kinematics.chain import chain_kinematics, chain_pose
 from ik_controller.kinematics.levenberg_marquardt import rotation_log_kernel
+from ik_controller.kinematics.scratch import scratch, scratch_table
 
 Array = NDArray[np.float64]
 
@@ -46,7 +47,7 @@ def secondary_rows(level: Array, chain: Array, at: Array, middle: Array, rows: A
     """
     n = at.shape[0]
     chain = chain[: int(level[JOINTS]) + 1]
-    rotation, position, jacobian = np.empty((3, 3)), np.empty(3), np.empty((6, n))
+    rotation, position, jacobian = scratch_table(3, 3), scratch(3), scratch_table(6, n)
     if level[KIND] == SWIVEL:
         chain_pose(chain, at, rotation, position)
         angle, reach = swivel(level, rotation, position)
@@ -55,7 +56,7 @@ def secondary_rows(level: Array, chain: Array, at: Array, middle: Array, rows: A
         off = level[TARGET] - angle
         rates[0] = level[GAIN] * reach * (off - 2.0 * math.pi * math.floor(off / (2.0 * math.pi) + 0.5))
         return 1
-    error = np.empty(3)
+    error = scratch(3)
     chain_pose(chain, at, rotation, position)
     if level[KIND] == POSITION:
         for i in range(3):
@@ -76,7 +77,7 @@ def secondary_rows(level: Array, chain: Array, at: Array, middle: Array, rows: A
 @compiled
 def swivel(level: Array, rotation: Array, wrist: Array) -> tuple[float, float]:
     """Return the swivel angle φ [rad] and |p| |l| at the pose of the frame at the wrist; 0 where there is none."""
-    line, arm, side, up, turned = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    line, arm, side, up, turned = scratch(3), scratch(3), scratch(3), scratch(3), scratch(3)
     length, p, _ = elbow_triangle(level, rotation, wrist, line, arm, side)
     z = line[2]
     for i in range(3):
@@ -117,8 +118,8 @@ def elbow_triangle(
 def swivel_row(level: Array, rotation: Array, wrist: Array, jacobian: Array, row: Array) -> None:
     """Write |p| |l| ∂φ/∂q (n,) from the wrist's Jacobian (6, n); zeros where there is no swivel angle."""
     n = row.shape[0]
-    line, arm, side = np.empty(3), np.empty(3), np.empty(3)
-    up, beside, above, elbow = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    line, arm, side = scratch(3), scratch(3), scratch(3)
+    up, beside, above, elbow = scratch(3), scratch(3), scratch(3), scratch(3)
     length, p, ahead = elbow_triangle(level, rotation, wrist, line, arm, side)
     z = line[2]
     for i in range(3):

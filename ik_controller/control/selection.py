@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from ik_controller.kinematics.accelerate import compiled
 from ik_controller.kinematics.levenberg_marquardt import rotation_log
 from ik_controller.kinematics.rotation_exp import rotation_exp
+from ik_controller.kinematics.scratch import scratch, scratch_table
 
 Array = NDArray[np.float64]
 
@@ -82,20 +83,24 @@ def rotation_to_go(desired: Array, rotation: Array, out: Array) -> None:
 
 
 @compiled
-def axes_error(axes: Array, frame: Array, position: Array, desired: Array, tool: Array, rotation: Array) -> Array:
-    """Return e (6,) along the axes `frame` (3, 3), 0 on free ones, of a tool at `tool` (3,), `rotation` (3, 3)."""
-    error, turn = np.zeros(6), np.zeros(3)
+def axes_error(
+    axes: Array, frame: Array, position: Array, desired: Array, tool: Array, rotation: Array, error: Array
+) -> None:
+    """Write e (6,) along the axes `frame` (3, 3), 0 on free ones, of a tool at `tool` (3,), `rotation` (3, 3)."""
+    turn = scratch(3)
+    for i in range(3):
+        error[i], error[3 + i], turn[i] = 0.0, 0.0, 0.0
     count = axes[MASK, 3] + axes[MASK, 4] + axes[MASK, 5]
     if count == 3.0:
         rotation_log(desired, rotation, turn)
     elif count > 0.0:
-        to_go = np.empty((3, 3))
+        to_go = scratch_table(3, 3)
         rotation_to_go(desired, rotation, to_go)
         a = frame[:, free_axis(axes)].copy()
         if count == 2.0:
             swing(a, to_go, turn)
         else:
-            q = np.empty(4)
+            q = scratch(4)
             quaternion(to_go, q)
             along = q[0] * a[0] + q[1] * a[1] + q[2] * a[2]
             angle = 2.0 * math.atan2(along, q[3])
@@ -107,13 +112,12 @@ def axes_error(axes: Array, frame: Array, position: Array, desired: Array, tool:
             error[3 + i] += frame[k, i] * turn[k]
     for i in range(6):
         error[i] *= axes[MASK, i]
-    return error
 
 
 @compiled
 def swing(a: Array, to_go: Array, turn: Array) -> None:
     """Write the shortest rotation vector (3,) that turns Dᵀa onto the unit vector a; D (3, 3) is `to_go`."""
-    u = np.empty(3)
+    u = scratch(3)
     for i in range(3):
         u[i] = to_go[0, i] * a[0] + to_go[1, i] * a[1] + to_go[2, i] * a[2]
     cross(u, a, turn)
@@ -149,7 +153,7 @@ def axes_rows(axes: Array, frame: Array, has_pose: bool, desired: Array, rotatio
             selection[3 + i, 3 + k] = axes[MASK, 3 + i] * frame[k, i]
     if count == 1.0 and has_pose:
         one = free_axis(axes)
-        a, q, side, to_go = frame[:, one].copy(), np.empty(4), np.empty(3), np.empty((3, 3))
+        a, q, side, to_go = frame[:, one].copy(), scratch(4), scratch(3), scratch_table(3, 3)
         rotation_to_go(desired, rotation, to_go)
         quaternion(to_go, q)
         along = q[0] * a[0] + q[1] * a[1] + q[2] * a[2]
@@ -168,14 +172,14 @@ def feed_forward_twist(
     count = axes[MASK, 3] + axes[MASK, 4] + axes[MASK, 5]
     if axes[OPTIONS, 0] > 0.0:
         if axes[MASK, 0] + axes[MASK, 1] + axes[MASK, 2] < 3.0:
-            off, more = np.empty(3), np.empty(3)
+            off, more = scratch(3), scratch(3)
             for i in range(3):
                 off[i] = tool[i] - position[i]
             cross(twist[3:], off, more)
             for i in range(3):
                 result[i] += more[i]
     elif 0.0 < count < 3.0:
-        to_go = np.empty((3, 3))
+        to_go = scratch_table(3, 3)
         rotation_to_go(desired, rotation, to_go)
         for i in range(3):
             result[3 + i] = to_go[0, i] * twist[3] + to_go[1, i] * twist[4] + to_go[2, i] * twist[5]

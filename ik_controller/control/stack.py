@@ -60,6 +60,7 @@ from ik_controller.control.selection import (
 from ik_controller.kinematics.accelerate import compiled
 from ik_controller.kinematics.damped_inverse import damped_gram_inverse
 from ik_controller.kinematics.levenberg_marquardt import kinematics, kinematics_pose
+from ik_controller.kinematics.scratch import borrowed, scratch, scratch_table
 from ik_controller.kinematics.small import gram, inverse_spd, product, times, transposed_times
 
 Array = NDArray[np.float64]
@@ -78,19 +79,20 @@ _FIRST_WEIGHT, _NEXT_WEIGHT = 1e4, 0.03
 
 
 @compiled
-def add_level(rows: Array, rates: Array, gain: float, law: Array, projector: Array, velocity: Array) -> Array:
+def add_level(rows: Array, rates: Array, gain: float, law: Array, projector: Array, velocity: Array) -> None:
     """Add the next task `rows` q̇ = `rates`, (m, n) and (m,), to `velocity` (n,) as far as `projector` N (n, n) leaves
-    it; return the projector that is left.
+    it, and write the projector that is left over N.
 
     `rates` are gain · e: slowed as a whole to what the joints can brake.
     """
-    n = velocity.shape[0]
-    part = product(rows, projector)
-    inverse, _ = damped_gram_inverse(
-        gram(part), max(law[SCALARS, 2], _LEAST_DAMPING), max(law[SCALARS, 3], _LEAST_DAMPING)
-    )
-    approach = transposed_times(part, times(inverse, rates))
-    correction = transposed_times(part, times(inverse, times(rows, velocity)))
+    m, n = rows.shape
+    part, squares, inverse, image = scratch_table(m, n), scratch_table(m, m), scratch_table(m, m), scratch(m)
+    product(rows, projector, part)
+    damping, threshold = max(law[SCALARS, 2], _LEAST_DAMPING), max(law[SCALARS, 3], _LEAST_DAMPING)
+    damped_gram_inverse(gram(part, squares), damping, threshold, inverse)
+    approach = transposed_times(part, times(inverse, rates, image), scratch(n))
+    moved = times(rows, velocity, scratch(m))
+    correction = transposed_times(part, times(inverse, moved, image), scratch(n))
     share = braking_factor(approach, gain, law[BRAKING : BRAKING + 2])
     ratio = 1.0
     for j in range(n):
@@ -98,20 +100,30 @@ def add_level(rows: Array, rates: Array, gain: float, law: Array, projector: Arr
     for j in range(n):
         velocity[j] += share / ratio * approach[j] - correction[j]
     # N (I − P⁺P) N is symmetric and never negative, also where a singularity of a higher task makes N no projector.
-    kept = product(inverse, part)
-    rest = np.eye(n)
+    rest = scratch_table(n, n)
+    beside(part, inverse, rest)
+    product(projector, product(rest, projector, scratch_table(n, n)), rest)
     for i in range(n):
         for j in range(n):
-            for k in range(part.shape[0]):
-                rest[i, j] -= part[k, i] * kept[k, j]
-    return product(projector, product(rest, projector))
+            projector[i, j] = rest[i, j]
 
 
 @compiled
-def wanted_rest(law: Array, objectives: Array, at: Array, jacobian: Array, selection: Array) -> Array:
-    """Return q̇₀ (n,): the way to the posture and k ∇H, slowed as a whole to its limits."""
-    n = at.shape[0]
-    rest, ratio = np.empty(n), 1.0
+def beside(rows: Array, inverse: Array, projector: Array) -> None:
+    """Write I − P⁺P (n, n) of P (m, n), `inverse` (m, m) so that P⁺ = Pᵀ · inverse."""
+    m, n = rows.shape
+    kept = product(inverse, rows, scratch_table(m, n))
+    for i in range(n):
+        for j in range(n):
+            projector[i, j] = 1.0 if i == j else 0.0
+            for k in range(m):
+                projector[i, j] -= rows[k, i] * kept[k, j]
+
+
+@compiled
+def wanted_rest(law: Array, objectives: Array, at: Array, jacobian: Array, selection: Array, rest: Array) -> None:
+    """Write q̇₀ (n,): the way to the posture and k ∇H, slowed as a whole to its limits."""
+    n, ratio = at.shape[0], 1.0
     for j in range(n):
         rest[j] = law[SCALARS, 1] * (law[POSTURE, j] - at[j])
     if objectives[GAINS, CENTRING] != 0.0:
@@ -124,18 +136,18 @@ def wanted_rest(law: Array, objectives: Array, at: Array, jacobian: Array, selec
         ratio = max(ratio, abs(rest[j]) / law[SEEK_LIMIT, j])
     for j in range(n):
         rest[j] /= ratio
-    return rest
 
 
 @compiled
 def add_rest(rest: Array, weights: Array, projector: Array, velocity: Array) -> None:
     """Add N q̇₀ to `velocity` (n,), or with `weights` (n,) the N z that brings it nearest to q̇₀ in their metric."""
     n = velocity.shape[0]
+    moved = scratch(n)
     if weights[0] == 0.0:
-        moved = times(projector, rest)
+        times(projector, rest, moved)
     else:
         # (N W N + I − N) z = N W (q̇₀ − q̇)
-        matrix, force = np.empty((n, n)), np.empty(n)
+        matrix, inverse, force, pull = scratch_table(n, n), scratch_table(n, n), scratch(n), scratch(n)
         for i in range(n):
             force[i] = weights[i] * (rest[i] - velocity[i])
             for j in range(n):
@@ -143,7 +155,8 @@ def add_rest(rest: Array, weights: Array, projector: Array, velocity: Array) -> 
                 for k in range(n):
                     total += projector[i, k] * weights[k] * projector[k, j]
                 matrix[i, j] = total
-        moved = times(projector, times(inverse_spd(matrix), times(projector, force)))
+        times(projector, force, pull)
+        times(projector, times(inverse_spd(matrix, inverse), pull, force), moved)
     for j in range(n):
         velocity[j] += moved[j]
 
@@ -173,18 +186,16 @@ def stack_velocity(
     """
     m, n = rows.shape
     beta = share * braking_factor(approach, share * law[SCALARS, 0], law[BRAKING : BRAKING + 2])
-    velocity[:] = transposed_times(rows, times(inverse, feed_forward)) + beta * approach
-    own[:] = velocity
-    projector = np.eye(n)
-    kept = product(inverse, rows)
-    for i in range(n):
-        for j in range(n):
-            for k in range(m):
-                projector[i, j] -= rows[k, i] * kept[k, j]
+    transposed_times(rows, times(inverse, feed_forward, scratch(m)), velocity)
+    for j in range(n):
+        velocity[j] += beta * approach[j]
+        own[j] = velocity[j]
+    projector = scratch_table(n, n)
+    beside(rows, inverse, projector)
     for i in range(levels.shape[0]):
         first, end = int(starts[i]), int(starts[i + 1])
         if end > first:
-            projector = add_level(secondary[first:end], rates[first:end], levels[i, 1], law, projector, velocity)
+            add_level(secondary[first:end], rates[first:end], levels[i, 1], law, projector, velocity)
     add_rest(rest, weights, projector, velocity)
 
 
@@ -215,12 +226,17 @@ def stack_cycle(
     (7, n) gets the wanted velocity, and below it the rows of the first task, 0 where there are less than six.
     """
     n = at.shape[0]
-    middle, jacobian, tool, turn = np.empty(n), np.empty((6, n)), np.empty(3), np.empty((3, 3))
-    error, raw = out[2 * n + 6 :], np.zeros(6)
+    chain, law, limits, state, at, position, rotation, twist, out, detail, axes, levels, chains, objectives = borrowed(
+        (chain, law, limits, state, at, position, rotation, twist, out, detail, axes, levels, chains, objectives)
+    )
+    middle, jacobian, tool, turn = scratch(n), scratch_table(6, n), scratch(3), scratch_table(3, 3)
+    error, raw = out[2 * n + 6 :], scratch(6)
+    for i in range(6):
+        raw[i] = 0.0
     if has_pose:
         kinematics_pose(chain, at, turn, tool)
         frame = rotation if axes[OPTIONS, 0] > 0.0 else np.eye(3)
-        raw = axes_error(axes, frame, position, rotation, tool, turn)
+        axes_error(axes, frame, position, rotation, tool, turn, raw)
         for i in range(3):
             error[i], error[3 + i] = 0.0, 0.0
             for k in range(3):
@@ -229,7 +245,7 @@ def stack_cycle(
     for j in range(n):
         middle[j] = at[j] + 0.5 * dt * (state[n + j] + dt * limits[LAST, j])
     kinematics(chain, middle, turn, tool, jacobian)
-    selection, moving, then = np.empty((6, 6)), twist, rotation
+    selection, moving, then = scratch_table(6, 6), twist, rotation
     frame = np.eye(3)
     if has_pose:
         half = half_way(twist, dt, position, rotation)
@@ -240,14 +256,14 @@ def stack_cycle(
     elif axes[OPTIONS, 0] > 0.0:
         frame = turn
     axes_rows(axes, frame, has_pose, then, turn, selection)
-    feedback, forward = times(law[:6, :6], raw), times(selection, moving)
+    feedback, forward = times(law[:6, :6], raw, scratch(6)), times(selection, moving, scratch(6))
 
-    chosen, count = np.empty((6, 6)), 0
+    chosen, rest, count = scratch_table(6, 6), scratch(n), 0
     for i in range(6):
         if axes[MASK, i] > 0.0:
             chosen[count] = selection[i]
             count += 1
-    rest = wanted_rest(law, objectives, at, jacobian, chosen[:count])
+    wanted_rest(law, objectives, at, jacobian, chosen[:count], rest)
     starts = np.zeros(levels.shape[0] + 1)
     secondary, rates = np.zeros((3 * levels.shape[0], n)), np.zeros(3 * levels.shape[0])
     for i in range(levels.shape[0]):
@@ -255,11 +271,13 @@ def stack_cycle(
         starts[i + 1] = starts[i] + added
 
     # 1: held by the first task; 0: free, or within its band.
-    held, edge, own, wanted, sigma = np.zeros(6), np.zeros(6), np.empty(n), np.empty(n), math.nan
+    held, edge, own, wanted, sigma = scratch(6), scratch(6), scratch(n), scratch(n), math.nan
     for i in range(6):
+        held[i], edge[i] = 0.0, 0.0
         if axes[MASK, i] > 0.0 and (axes[TOLERANCE, i] == 0.0 or not has_pose):
             held[i] = 1.0
-    first, ahead, back, used, jacobian_1 = np.empty((6, 6)), np.empty(6), np.zeros(6), 0, np.empty((0, n))
+    first, ahead, back, pull, approach = scratch_table(6, 6), scratch(6), scratch(6), scratch(6), scratch(n)
+    used, jacobian_1 = 0, scratch_table(0, n)
     bounded = not tool_is_free(law)
     for _ in range(7):
         used = 0
@@ -270,22 +288,28 @@ def stack_cycle(
                 first[used], ahead[used] = selection[i], forward[i]
                 used += 1
         share = 1.0
-        jacobian_1 = product(first[:used], jacobian)
+        jacobian_1 = product(first[:used], jacobian, np.empty((used, n)))
         inverse = np.empty((used, used))
         if used > 0:
-            inverse, sigma = damped_gram_inverse(
-                gram(jacobian_1), law[SCALARS, 2], law[SCALARS, 3], int(axes[OPTIONS, 1])
+            sigma = damped_gram_inverse(
+                gram(jacobian_1, np.empty((used, used))),
+                law[SCALARS, 2],
+                law[SCALARS, 3],
+                inverse,
+                int(axes[OPTIONS, 1]),
             )
             if bounded:
                 share = stoppable_share(back, law)
-        feed_back, pull, k = np.empty(used), np.zeros(6), 0
+        feed_back, image, k = np.empty(used), np.empty(used), 0
+        for i in range(6):
+            pull[i] = 0.0
         for i in range(6):
             if held[i] > 0.0:
                 feed_back[k] = back[i]
                 k += 1
                 for axis in range(6):
                     pull[axis] += selection[i, axis] * back[i] / law[SCALARS, 0]
-        approach = transposed_times(jacobian_1, times(inverse, feed_back))
+        transposed_times(jacobian_1, times(inverse, feed_back, image), approach)
         near = nearness(jacobian, pull, sigma, law[SCALARS, 2], law[SCALARS, 3]) if used > 0 else 0.0
         if near > 0.0:
             follow_bend(approach, jacobian_1, jacobian, feed_back, pull, near, law[SCALARS, 2])
@@ -297,16 +321,19 @@ def stack_cycle(
             break
     slower, by_tool = 1.0, FREE
     if bounded:
-        inverse, _ = damped_gram_inverse(gram(jacobian), law[SCALARS, 2], law[SCALARS, 3], int(law[SCALARS, 4]))
+        inverse = scratch_table(6, 6)
+        damped_gram_inverse(
+            gram(jacobian, scratch_table(6, 6)), law[SCALARS, 2], law[SCALARS, 3], inverse, int(law[SCALARS, 4])
+        )
         slower, by_tool = bound_tool(wanted, jacobian, inverse, state[2 * n : 2 * n + 6], state[n : 2 * n], law, dt)
         for j in range(n):
             own[j] *= slower
     detail[0] = wanted
     for i in range(used):
         detail[1 + i] = jacobian_1[i]
-    last = times(first[:used], state[2 * n : 2 * n + 6])
+    last = times(first[:used], state[2 * n : 2 * n + 6], scratch(used))
     total = int(starts[levels.shape[0]])
-    weights, weight = np.empty(total), _FIRST_WEIGHT
+    weights, weight = scratch(total), _FIRST_WEIGHT
     for i in range(levels.shape[0]):
         weights[int(starts[i]) : int(starts[i + 1])] = weight
         weight = max(_NEXT_WEIGHT * weight, 1.0)
@@ -343,7 +370,7 @@ def leaves_band(
     any.
     """
     found = False
-    rates = times(selection, times(jacobian, velocity))
+    rates = times(selection, times(jacobian, velocity, scratch(6)), scratch(6))
     for i in range(6):
         if axes[MASK, i] > 0.0 and held[i] == 0.0:
             half = law[i, i] * axes[TOLERANCE, i]

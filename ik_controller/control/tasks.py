@@ -92,13 +92,15 @@ class TaskStack:
         """Return e (6,) of the tool at q (n,) in base axes: 0 on free axes and within the tolerances."""
         tool = self._model.forward(q)
         frame = np.ascontiguousarray(rotation) if self.axes[OPTIONS, 0] else np.eye(3)
-        raw = axes_error(
+        raw = np.empty(6)
+        axes_error(
             self.axes,
             frame,
             position,
             np.ascontiguousarray(rotation),
             np.array(tool.translation),
             np.ascontiguousarray(tool.rotation),
+            raw,
         )
         left = raw - np.clip(raw, -self.axes[TOLERANCE], self.axes[TOLERANCE])
         return np.concatenate((frame @ left[:3], frame @ left[3:]))

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ik_controller.kinematics.accelerate import compiled
 from ik_controller.kinematics.model import RobotModel, frame_jacobian, frame_pose
+from ik_controller.kinematics.scratch import scratch_table
 
 Array = NDArray[np.float64]
 
@@ -110,8 +111,7 @@ def table_to(model: RobotModel, joints: int, placement: Any) -> Array:
 def chain_pose(chain: Array, q: Array, rotation: Array, position: Array) -> None:
     """Write the tool's rotation (3, 3) and position (3,) [m] at q (n,); `chain` of `table_of`."""
     m = chain.shape[0] - 1
-    axes, points = np.empty((m, 3)), np.empty((m, 3))
-    _walk(chain, q, rotation, position, axes, points)
+    _walk(chain, q, rotation, position, scratch_table(m, 3), scratch_table(m, 3))
 
 
 @compiled
@@ -121,7 +121,7 @@ def chain_kinematics(chain: Array, q: Array, rotation: Array, position: Array, j
     Column of a joint with axis a through c, driven by its coordinate with `factor` f: f (a × (p − c), a), or f (a, 0).
     """
     m = chain.shape[0] - 1
-    axes, points = np.empty((m, 3)), np.empty((m, 3))
+    axes, points = scratch_table(m, 3), scratch_table(m, 3)
     _walk(chain, q, rotation, position, axes, points)
     for i in range(6):
         for j in range(jacobian.shape[1]):

@@ -23,6 +23,7 @@ from ik_controller.kinematics.chain import chain_of
 from ik_controller.kinematics.collision_distance import segments_apart
 from ik_controller.kinematics.collision_shapes import link_capsules
 from ik_controller.kinematics.model import RobotModel
+from ik_controller.kinematics.scratch import scratch, scratch_table
 from ik_controller.kinematics.urdf import Urdf
 
 Array = NDArray[np.float64]
@@ -233,9 +234,11 @@ def joint_frames(chain: Any, q: Array, rotation: Array, position: Array, axes: A
     The frame moves with the joint; a revolute joint's axis passes through its position.
     """
     rotations, translations, prismatic, leader, factor, offset = chain
-    r, p = np.zeros((3, 3)), np.zeros(3)
-    r[0, 0] = r[1, 1] = r[2, 2] = 1.0
-    fixed = np.empty((3, 3))
+    r, p, fixed = scratch_table(3, 3), scratch(3), scratch_table(3, 3)
+    for i in range(3):
+        p[i] = 0.0
+        for j in range(3):
+            r[i, j] = 1.0 if i == j else 0.0
     for k in range(leader.shape[0]):
         for i in range(3):
             p[i] += r[i, 0] * translations[k, 0] + r[i, 1] * translations[k, 1] + r[i, 2] * translations[k, 2]

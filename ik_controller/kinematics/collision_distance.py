@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.kinematics.accelerate import compiled
+from ik_controller.kinematics.scratch import scratch
 
 Array = NDArray[np.float64]
 
@@ -133,7 +134,7 @@ def point_apart(kind: int, size: Array, rotation: Array, center: Array, point: A
 
     `kind` and `size` (3,): see above; `rotation` (3, 3), `center` (3,): the solid's frame.
     """
-    local = np.empty(3)
+    local = scratch(3)
     _into(rotation, center, point, local)
     distance = local_apart(kind, size, local, normal)
     _turn(rotation, normal)
@@ -148,7 +149,7 @@ def segment_apart(
 
     Return (signed distance [m], where the point is on the segment, 0 to 1). The rest as in `point_apart`.
     """
-    start, along, at = np.empty(3), np.empty(3), np.empty(3)
+    start, along, at = scratch(3), scratch(3), scratch(3)
     _into(rotation, center, a0, start)
     _into(rotation, center, a1, along)
     length = 0.0

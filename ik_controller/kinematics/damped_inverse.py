@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.kinematics.accelerate import HAS_NUMBA, compiled, inlined
+from ik_controller.kinematics.scratch import scratch_table
 from ik_controller.kinematics.small import gram, sized_inverse_spd, spectrum
 
 Array = NDArray[np.float64]
@@ -37,18 +38,21 @@ def damping_factors(eigenvalues: Array, damping: float, threshold: float) -> Arr
 
 
 @inlined
-def undamped(matrix: Array, threshold: float, m: int) -> tuple[Array, float]:
-    """Return (B = (J Jᵀ)⁻¹ (m, m), σ_min) for `matrix` = J Jᵀ (m, m), σ_min = 0 where a direction may need damping.
+def undamped(matrix: Array, threshold: float, m: int, space: Array, inverse: Array) -> float:
+    """Write B = (J Jᵀ)⁻¹ (m, m) for `matrix` = J Jᵀ (m, m) and return σ_min, 0 where a direction may need damping.
 
     tr(B³²)^(1/32) ≥ 1/σ_min², so where that bound is beyond the threshold, none does. σ_min is then the Rayleigh
-    quotient at the strongest column of B³², exact to (σ₁/σ₂)¹²⁸ of the two smallest.
+    quotient at the strongest column of B³², exact to (σ₁/σ₂)¹²⁸ of the two smallest. `space` (2m, m) is written over.
     """
-    inverse, sigma = sized_inverse_spd(matrix, m), 0.0
+    power, square, sigma = space[:m], space[m:], 0.0
+    sized_inverse_spd(matrix, m, power, inverse)
     if inverse[0, 0] > 0.0:
         scale = 0.0
         for i in range(m):
             scale += inverse[i, i]
-        power, square = inverse / scale, np.empty((m, m))
+        for i in range(m):
+            for j in range(m):
+                power[i, j] = inverse[i, j] / scale
         for _ in range(5):
             for i in range(m):
                 for j in range(i + 1):
@@ -71,12 +75,12 @@ def undamped(matrix: Array, threshold: float, m: int) -> tuple[Array, float]:
                 above += power[strongest, i] * image
                 below += power[strongest, i] * power[strongest, i]
             sigma = math.sqrt(above / below)
-    return inverse, sigma
+    return sigma
 
 
 @compiled
-def damped_gram_inverse(matrix: Array, damping: float, threshold: float, rank: int = 6) -> tuple[Array, float]:
-    """Return (U diag(1/(σᵢ² + λᵢ²)) Uᵀ (m, m), σ_min) for `matrix` = J Jᵀ (m, m): with it, J⁺x = Jᵀ (result · x).
+def damped_gram_inverse(matrix: Array, damping: float, threshold: float, inverse: Array, rank: int = 6) -> float:
+    """Write U diag(1/(σᵢ² + λᵢ²)) Uᵀ (m, m) for `matrix` = J Jᵀ (m, m) and return σ_min: J⁺x = Jᵀ (`inverse` · x).
 
     Compiled, the inverse of a well-conditioned matrix is found quicker than its eigenvalues. `rank`: in how many
     directions the arm can move at all, where that is less than m; σ_min is the smallest of those.
@@ -84,9 +88,14 @@ def damped_gram_inverse(matrix: Array, damping: float, threshold: float, rank: i
     m = matrix.shape[0]
     if HAS_NUMBA and rank >= m:
         # With the size a constant the compiler unrolls the loops: half the time.
-        inverse, sigma = undamped(matrix, threshold, 6) if m == 6 else undamped(matrix, threshold, m)
+        space = scratch_table(2 * m, m)
+        if m == 6:
+            sigma = undamped(matrix, threshold, 6, space, inverse)
+        else:
+            sigma = undamped(matrix, threshold, m, space, inverse)
         if sigma > 0.0:
-            return inverse, sigma
+            return sigma
     values, directions = spectrum(matrix)
     factors = damping_factors(values, damping, threshold)
-    return gram(directions * np.sqrt(factors)), math.sqrt(max(values[max(m - rank, 0)], 0.0))
+    gram(directions * np.sqrt(factors), inverse)
+    return math.sqrt(max(values[max(m - rank, 0)], 0.0))

@@ -32,6 +32,7 @@ from ik_controller.kinematics.chain import (
     table_of,
 )
 from ik_controller.kinematics.model import RobotModel
+from ik_controller.kinematics.scratch import scratch_table
 
 Array = NDArray[np.float64]
 
@@ -47,7 +48,7 @@ CONVERGED, STATIONARY, SLOW = 0, 1, 2
 @compiled
 def rotation_log_kernel(desired: Array, rotation: Array, out: Array) -> None:
     """Write log(R_d Rᵀ) (3,) [rad], the rotation vector in base axes from R to R_d, finite and shortest near π."""
-    d = np.empty((3, 3))
+    d = scratch_table(3, 3)
     for i in range(3):
         for j in range(3):
             d[i, j] = desired[i, 0] * rotation[j, 0] + desired[i, 1] * rotation[j, 1] + desired[i, 2] * rotation[j, 2]
@@ -79,7 +80,7 @@ def rotation_log_kernel(desired: Array, rotation: Array, out: Array) -> None:
 def damped_step_kernel(jacobian: Array, gradient: Array, free: NDArray[np.bool_], damping: float, step: Array) -> None:
     """Write (JᵀJ + λI)⁻¹ Jᵀe over the free joints, 0 for the others, by Cholesky; `gradient` is Jᵀe (n,)."""
     rows, n = jacobian.shape
-    a = np.empty((n, n))
+    a = scratch_table(n, n)
     for i in range(n):
         for j in range(i + 1):
             total = 0.0

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ik_controller.kinematics.accelerate import HAS_NUMBA, compiled, inlined
+from ik_controller.kinematics.scratch import scratch_integers, scratch_table
 
 Array = NDArray[np.float64]
 
@@ -27,7 +28,8 @@ def jacobi_spectrum(matrix: Array) -> tuple[Array, Array]:
     Cyclic Jacobi rotations (Golub and Van Loan, 8.5): short, and small eigenvalues come out as well as large ones.
     """
     m = matrix.shape[0]
-    a = matrix.copy()
+    a = scratch_table(m, m)
+    a[:] = matrix
     u = np.eye(m)
     for _ in range(_SWEEPS):
         off, on = 0.0, 0.0
@@ -71,10 +73,9 @@ def jacobi_spectrum(matrix: Array) -> tuple[Array, Array]:
 
 
 @compiled
-def loop_times(matrix: Array, vector: Array) -> Array:
-    """Return matrix (m, n) times vector (n,)."""
+def loop_times(matrix: Array, vector: Array, result: Array) -> Array:
+    """Write matrix (m, n) times vector (n,) to `result` (m,) and return that."""
     m, n = matrix.shape
-    result = np.empty(m)
     for i in range(m):
         total = 0.0
         for j in range(n):
@@ -84,10 +85,11 @@ def loop_times(matrix: Array, vector: Array) -> Array:
 
 
 @compiled
-def loop_transposed_times(matrix: Array, vector: Array) -> Array:
-    """Return the transpose of matrix (m, n) times vector (m,)."""
+def loop_transposed_times(matrix: Array, vector: Array, result: Array) -> Array:
+    """Write the transpose of matrix (m, n) times vector (m,) to `result` (n,) and return that."""
     m, n = matrix.shape
-    result = np.zeros(n)
+    for j in range(n):
+        result[j] = 0.0
     for i in range(m):
         for j in range(n):
             result[j] += matrix[i, j] * vector[i]
@@ -95,10 +97,9 @@ def loop_transposed_times(matrix: Array, vector: Array) -> Array:
 
 
 @compiled
-def loop_gram(matrix: Array) -> Array:
-    """Return M Mᵀ (m, m) of a matrix (m, n)."""
+def loop_gram(matrix: Array, result: Array) -> Array:
+    """Write M Mᵀ of a matrix (m, n) to `result` (m, m) and return that."""
     m, n = matrix.shape
-    result = np.empty((m, m))
     for i in range(m):
         for j in range(i + 1):
             total = 0.0
@@ -110,11 +111,12 @@ def loop_gram(matrix: Array) -> Array:
 
 
 @compiled
-def loop_product(left: Array, right: Array) -> Array:
-    """Return left (m, k) times right (k, n)."""
+def loop_product(left: Array, right: Array, result: Array) -> Array:
+    """Write left (m, k) times right (k, n) to `result` (m, n) and return that."""
     m, n = left.shape[0], right.shape[1]
-    result = np.zeros((m, n))
     for i in range(m):
+        for j in range(n):
+            result[i, j] = 0.0
         for k in range(right.shape[0]):
             for j in range(n):
                 result[i, j] += left[i, k] * right[k, j]
@@ -122,12 +124,12 @@ def loop_product(left: Array, right: Array) -> Array:
 
 
 @inlined
-def sized_inverse_factor(matrix: Array, m: int) -> tuple[bool, Array]:
-    """Return (is M (m, m) positive definite, L⁻¹ of its Cholesky factor M = L Lᵀ); where it is not, the second is
-    unfinished.
+def sized_inverse_factor(matrix: Array, m: int, low: Array) -> bool:
+    """Write L⁻¹ (m, m) of the Cholesky factor of M = L Lᵀ (m, m), on and below its diagonal; return whether M is
+    positive definite. Where it is not, that is unfinished.
     """
-    low, definite = np.zeros((m, m)), True  # L, then L⁻¹
-    for j in range(m):
+    definite = True
+    for j in range(m):  # L, then L⁻¹
         total = matrix[j, j]
         for k in range(j):
             total -= low[j, k] * low[j, k]
@@ -148,35 +150,39 @@ def sized_inverse_factor(matrix: Array, m: int) -> tuple[bool, Array]:
                 for k in range(j, i):
                     total -= low[i, k] * low[k, j]
                 low[i, j] = total / low[i, i]
-    return definite, low
+    return definite
 
 
 @inlined
-def sized_inverse_spd(matrix: Array, m: int) -> Array:
-    """Return the inverse (m, m) of a symmetric positive definite matrix by Cholesky; zeros where it is not definite."""
-    result = np.zeros((m, m))
-    definite, low = sized_inverse_factor(matrix, m)
-    if definite:
-        for i in range(m):
-            for j in range(i + 1):
-                total = 0.0
+def sized_inverse_spd(matrix: Array, m: int, low: Array, result: Array) -> None:
+    """Write the inverse (m, m) of a symmetric positive definite matrix by Cholesky; zeros where it is not definite.
+    `low` (m, m) as in `sized_inverse_factor`.
+    """
+    definite = sized_inverse_factor(matrix, m, low)
+    for i in range(m):
+        for j in range(i + 1):
+            total = 0.0
+            if definite:
                 for k in range(i, m):
                     total += low[k, i] * low[k, j]
-                result[i, j] = total
-                result[j, i] = total
+            result[i, j] = total
+            result[j, i] = total
+
+
+@compiled
+def inverse_factor(matrix: Array, result: Array) -> bool:
+    """Write L⁻¹ (m, m) of the Cholesky factor of M = L Lᵀ (m, m): see `sized_inverse_factor`."""
+    return sized_inverse_factor(matrix, matrix.shape[0], result)
+
+
+@compiled
+def inverse_spd(matrix: Array, result: Array) -> Array:
+    """Write the inverse of a symmetric positive definite matrix (m, m) to `result` (m, m) and return that; zeros where
+    it is not definite.
+    """
+    m = matrix.shape[0]
+    sized_inverse_spd(matrix, m, scratch_table(m, m), result)
     return result
-
-
-@compiled
-def inverse_factor(matrix: Array) -> tuple[bool, Array]:
-    """Return (is M (m, m) positive definite, L⁻¹ of its Cholesky factor M = L Lᵀ)."""
-    return sized_inverse_factor(matrix, matrix.shape[0])
-
-
-@compiled
-def inverse_spd(matrix: Array) -> Array:
-    """Return the inverse (m, m) of a symmetric positive definite matrix by Cholesky; zeros where it is not definite."""
-    return sized_inverse_spd(matrix, matrix.shape[0])
 
 
 @compiled
@@ -234,16 +240,18 @@ def turn_back(matrix: Array, factor: Array, rank: int, vector: Array) -> None:
 
 
 @compiled
-def loop_row_space(matrix: Array, wanted: Array) -> tuple[Array, Array]:
-    """Return (N (n − r, n), b (n,)) of M (m, n) of rank r, which is overwritten: orthonormal rows N with M Nᵀ = 0, and
-    the shortest b with M b = `wanted` (m,), as far as M's rows reach.
+def loop_row_space(matrix: Array, wanted: Array, null: Array, shortest: Array) -> int:
+    """Write N and b of M (m, n) of rank r, which is overwritten, and return n − r: so many orthonormal rows of `null`
+    (n, n) with M Nᵀ = 0, and the `shortest` b (n,) with M b = `wanted` (m,), as far as M's rows reach.
     """
     m, n = matrix.shape
-    space, order = np.empty((2, m)), np.empty(m, dtype=np.int64)
+    space, order = scratch_table(2, m), scratch_integers(m)
     corner, factor = space[0], space[1]
     rank = reflect_rows(matrix, corner, factor, order)
-    result = np.zeros((n - rank + 1, n))
-    null, shortest = result[: n - rank], result[n - rank]
+    for j in range(n):
+        shortest[j] = 0.0
+        for i in range(n - rank):
+            null[i, j] = 0.0
     for i in range(n - rank):
         null[i, rank + i] = 1.0
         turn_back(matrix, factor, rank, null[i])
@@ -253,27 +261,29 @@ def loop_row_space(matrix: Array, wanted: Array) -> tuple[Array, Array]:
             total -= matrix[i, j] * shortest[j]
         shortest[i] = total / corner[i]
     turn_back(matrix, factor, rank, shortest)
-    return null, shortest
+    freedom: int = n - rank
+    return freedom
 
 
-def numpy_row_space(matrix: Array, wanted: Array) -> tuple[Array, Array]:
-    """Return the same as `loop_row_space`; for well-conditioned M with one column more than rows by I − Mᵀ(MMᵀ)⁻¹M,
+def numpy_row_space(matrix: Array, wanted: Array, null: Array, shortest: Array) -> int:
+    """Write the same as `loop_row_space`; for well-conditioned M with one column more than rows by I − Mᵀ(MMᵀ)⁻¹M,
     any column of which is along N.
     """
     m, n = matrix.shape
     if n != m + 1:
-        return loop_row_space(matrix, wanted)
+        return loop_row_space(matrix, wanted, null, shortest)
     squares: Array = matrix.dot(matrix.T)
     factor = eigenpy.LLT(squares)
     inverse: Array = factor.solve(np.eye(m))
     definite = factor.info() == eigenpy.ComputationInfo.Success
     if not (definite and 0.0 < inverse.trace() * squares.trace() < _WELL):
-        return loop_row_space(matrix, wanted)
+        return loop_row_space(matrix, wanted, null, shortest)
     back: Array = matrix.T.dot(inverse)
     rest = np.eye(n) - back.dot(matrix)
     column = int(rest.diagonal().argmax())
-    null: Array = rest[column : column + 1] / math.sqrt(rest.item(column, column))
-    return null, back.dot(wanted[:m])
+    null[0] = rest[column] / math.sqrt(rest.item(column, column))
+    shortest[:] = back.dot(wanted[:m])
+    return 1
 
 
 def eigen_spectrum(matrix: Array) -> tuple[Array, Array]:
@@ -282,15 +292,15 @@ def eigen_spectrum(matrix: Array) -> tuple[Array, Array]:
     return solver.eigenvalues(), solver.eigenvectors()
 
 
-def numpy_transposed_times(matrix: Array, vector: Array) -> Array:
-    """Return the same as `loop_transposed_times`, by NumPy."""
-    result: Array = matrix.T.dot(vector)
+def numpy_transposed_times(matrix: Array, vector: Array, result: Array) -> Array:
+    """Write the same as `loop_transposed_times`, by NumPy."""
+    matrix.T.dot(vector, result)
     return result
 
 
-def numpy_gram(matrix: Array) -> Array:
-    """Return the same as `loop_gram`, by NumPy."""
-    result: Array = matrix.dot(matrix.T)
+def numpy_gram(matrix: Array, result: Array) -> Array:
+    """Write the same as `loop_gram`, by NumPy."""
+    matrix.dot(matrix.T, result)
     return result
 
 

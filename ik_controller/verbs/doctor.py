@@ -146,7 +146,7 @@ def _law(model: RobotModel, parameters: ControllerParameters) -> list[Finding]:
         if (posture < model.lower).any() or (posture > model.upper).any():
             message = "the posture lies outside the position limits"
             findings.append(Finding("warning", "posture", message, "choose one within the limits"))
-        sigma = float(np.sqrt(max(float(spectrum(gram(model.jacobian(posture)))[0][0]), 0.0)))
+        sigma = float(np.sqrt(max(float(spectrum(gram(model.jacobian(posture), np.empty((6, 6))))[0][0]), 0.0)))
         if model.n >= 6 and sigma < parameters.singular_value_threshold:
             message = f"the posture is near a singularity (σ = {sigma:.3g})"
             findings.append(Finding("warning", "posture", message, "choose one away from singularities"))

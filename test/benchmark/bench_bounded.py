@@ -26,15 +26,17 @@ def saturate(x, J, low, high):
     """Return the scale s that saturation in the null space finds for J q̇ = s x within [low, high]."""
     n = J.shape[1]
     free, held, best = np.ones(n), np.zeros(n), 0.0
+    inverse, image, along, base = np.empty((6, 6)), np.empty((2, 6)), np.empty(n), np.empty(n)
     while True:
         open_columns = J.copy()
         for j in range(n):
             open_columns[:, j] *= free[j]
-        inverse = inverse_spd(loop_gram(open_columns))
+        inverse_spd(loop_gram(open_columns, np.empty((6, 6))), inverse)
         if inverse[0, 0] <= 0.0:
             return best
-        along = loop_transposed_times(open_columns, loop_times(inverse, x))
-        base = held - loop_transposed_times(open_columns, loop_times(inverse, loop_times(J, held)))
+        loop_transposed_times(open_columns, loop_times(inverse, x, image[0]), along)
+        loop_times(inverse, loop_times(J, held, image[0]), image[1])
+        base[:] = held - loop_transposed_times(open_columns, image[1], base)
         fits, most, least, critical = True, 1.0, 0.0, -1
         for j in range(n):
             if not low[j] - 1e-12 <= along[j] + base[j] <= high[j] + 1e-12:

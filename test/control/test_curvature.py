@@ -37,7 +37,7 @@ def test_jacobian_and_bend_are_the_second_derivatives_of_half_the_squared_error(
     columns = [(gradient(q + step * unit) - gradient(q - step * unit)) / (2.0 * step) for unit in np.eye(model.n)]
     differences = np.array(columns)
     jacobian = np.ascontiguousarray(model.jacobian(q))
-    second = jacobian.T @ jacobian + bend(jacobian, error_of(model, target, q))
+    second = jacobian.T @ jacobian + bend(jacobian, error_of(model, target, q), np.empty((model.n, model.n)))
     np.testing.assert_allclose(second, 0.5 * (differences + differences.T), atol=1e-3)
 
 
@@ -47,9 +47,9 @@ def test_the_steps_matrix_is_nowhere_below_the_second_derivatives(seed: int, dam
     random = np.random.default_rng(seed)
     jacobian, error = random.normal(size=(6, 7)), random.normal(size=6)
     jacobian[:, 3] = jacobian[:, 2]  # singular too
-    bent = bend(jacobian, error)
+    bent = bend(jacobian, error, np.empty((7, 7)))
     rows = np.ascontiguousarray(jacobian[: random.integers(1, 7)])
-    squares = curved_squares(rows, bent, damping)
+    squares = curved_squares(rows, bent, damping, np.empty((7, 7)))
     least = damping * damping * (1.0 - 1e-6)
     assert np.linalg.eigvalsh(squares).min() >= least - 1e-10
     assert np.linalg.eigvalsh(squares - rows.T @ rows - bent).min() >= least - 1e-10

@@ -211,7 +211,8 @@ def test_inverse_is_exact_away_from_singularities_and_bounded_near_them(joints, 
     if joints[1] > 1.0:
         q[2] = 0.0  # the stretched elbow
     J = model.jacobian(q)
-    gram_inverse, sigma = damped_gram_inverse(J @ J.T, strength, threshold)
+    gram_inverse = np.empty((len(J), len(J)))
+    sigma = damped_gram_inverse(J @ J.T, strength, threshold, gram_inverse)
     found = J.T @ gram_inverse
     values = np.linalg.svd(J, compute_uv=False)
     assert values[-1] - 1e-7 <= sigma <= 1.02 * values[-1] + 1e-7

@@ -96,7 +96,9 @@ def test_manipulability(name, seed, few):
         return float(np.prod(np.linalg.svd(rows, compute_uv=False)))
 
     J = np.ascontiguousarray(model.jacobian(q))
-    assert manipulability(product(selection, J)) == pytest.approx(height(q), abs=1e-9)
+    assert manipulability(product(selection, J, np.empty((len(selection), J.shape[1])))) == pytest.approx(
+        height(q), abs=1e-9
+    )
     assume(height(q) > 1e-3)
     found = np.zeros(model.n)
     add_manipulability(J, selection, 2.0, found)

@@ -178,7 +178,8 @@ def test_the_damping_laws_are_those_of_the_papers():
 @given(A=st.one_of(matrices((6, 7), smallest=1e-6), matrices((6, 7), rank=5), matrices((6, 4))), x=finite_vectors(6))
 def test_what_the_control_loop_runs_is_numerical_filtering(A, x):
     """Its kernel takes a short way where nothing is damped; σ_min is then a Rayleigh quotient: never too small."""
-    gram_inverse, sigma = damped_gram_inverse(A @ A.T, 0.05, 0.1)
+    gram_inverse = np.empty((len(A), len(A)))
+    sigma = damped_gram_inverse(A @ A.T, 0.05, 0.1, gram_inverse)
     np.testing.assert_allclose(
         A.T @ (gram_inverse @ x), inverse(A, "numerical_filtering", damping=0.05, threshold=0.1) @ x, atol=1e-6
     )
