@@ -32,7 +32,7 @@ from ik_controller.kinematics.chain import (
     table_of,
 )
 from ik_controller.kinematics.model import RobotModel
-from ik_controller.kinematics.scratch import scratch_table
+from ik_controller.kinematics.scratch import borrowed, scratch, scratch_table
 
 Array = NDArray[np.float64]
 
@@ -207,11 +207,14 @@ def descend(
     `step_size` (n,) scales Δq and `clamp` [rad or m] is the most a joint moves in an iteration; `history`
     (iterations + 1 or 0, n + 2) takes q and the two errors of every iteration.
     """
+    chain, rotation_d, position_d, axes, frame, lower, upper, prismatic, step_size, q, history = borrowed(
+        (chain, rotation_d, position_d, axes, frame, lower, upper, prismatic, step_size, q, history)
+    )
     n = q.shape[0]
-    rotation, position, jacobian = np.empty((3, 3)), np.empty(3), np.empty((6, n))
-    error, step, gradient = np.empty(6), np.zeros(n), np.zeros(n)
+    rotation, position, jacobian = scratch_table(3, 3), scratch(3), scratch_table(6, n)
+    error, step, gradient = scratch(6), scratch(n), scratch(n)
     free = np.ones(n, dtype=np.bool_)
-    q_before, jacobian_before = np.empty(n), np.empty((6, n))
+    q_before, jacobian_before = scratch(n), scratch_table(6, n)
     all_axes = axes[0] + axes[1] + axes[2] + axes[3] + axes[4] + axes[5] == 6.0
     into_limits(q, lower, upper, prismatic)
     cost_before, position_error, orientation_error = math.inf, math.inf, math.inf
