@@ -26,7 +26,7 @@ setup(
     maintainer="The ik_controller maintainers",
     maintainer_email="maintainers@ik-controller.org",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed", "report/assets/*"]},
+    package_data={NAME: ["py.typed", "report/assets/*", "ros/*.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (str(SHARE), ["package.xml"]),

@@ -31,15 +31,14 @@ _PATIENCE = 60.0  # [s]
 
 def relay() -> Loop:
     """Return the loop of the bare relay."""
-    import rclpy
     from geometry_msgs.msg import PoseStamped, TwistStamped
     from rclpy.node import Node
-    from rclpy.signals import SignalHandlerOptions
     from sensor_msgs.msg import JointState
 
     from ik_controller.ros.polling import PolledGroup, PolledSubscription
+    from ik_controller.ros.start import start_ros
 
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    start_ros([])
     node = Node("relay")
     group = PolledGroup()
     states = PolledSubscription(node, group, JointState, "joint_states", 10, reliable=False)
@@ -60,14 +59,13 @@ def relay() -> Loop:
 
 def listen() -> Loop:
     """Return the loop of a process that only receives what the relay sends."""
-    import rclpy
     from rclpy.node import Node
-    from rclpy.signals import SignalHandlerOptions
     from sensor_msgs.msg import JointState
 
     from ik_controller.ros.polling import PolledGroup, PolledSubscription
+    from ik_controller.ros.start import start_ros
 
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    start_ros([])
     commands = PolledSubscription(Node("listener"), PolledGroup(), JointState, "relayed_commands", 1, reliable=False)
 
     def cycle(index: int, now: int, late: int) -> None:
@@ -88,7 +86,9 @@ def switch(rounds: int) -> None:
     from rclpy.node import Node
     from std_srvs.srv import SetBool
 
-    rclpy.init(args=[])
+    from ik_controller.ros.start import start_ros
+
+    start_ros([])
     node = Node("switch")
     told: list[dict[str, str]] = []
     node.create_subscription(

@@ -21,6 +21,7 @@ from ik_controller.kinematics.model import RobotModel
 from ik_controller.parameters import ControllerParameters
 from ik_controller.ros.publishers import name_of
 from ik_controller.ros.reasons import LEVELS, OK, REASONS, what_to_do
+from ik_controller.ros.transport import leave_shared_memory
 
 _STREAMS = {"target_pose": PoseStamped, "target_twist": TwistStamped}
 _TAKEN = {**_STREAMS, "joint_states": JointState, "robot_description": String}
@@ -35,6 +36,7 @@ class Graph:
     """
 
     def __init__(self, node: str = "/ik_controller") -> None:
+        leave_shared_memory()
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
         self._self = Node(_ASIDE[0], context=self._context, enable_rosout=False, start_parameter_services=False)

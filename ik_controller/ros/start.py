@@ -7,6 +7,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from ik_controller.errors import ParameterError
+from ik_controller.ros.transport import leave_shared_memory
 
 
 def start_ros(arguments: list[str]) -> None:
@@ -14,6 +15,7 @@ def start_ros(arguments: list[str]) -> None:
 
     Signals stay ours: rclpy's own handlers shut the context down before a last command can go out.
     """
+    leave_shared_memory()
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # a malformed argument, or a parameter file that cannot be read

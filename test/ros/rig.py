@@ -40,14 +40,12 @@ from visualization_msgs.msg import MarkerArray
 
 from ik_controller.recording.target_bag import write_targets
 from ik_controller.robots import build_model, bundled_parameters
+from ik_controller.ros.transport import over_udp
 from ik_controller.verbs.processes import is_quiet
 
 os.environ.setdefault("AMENT_PREFIX_PATH", sys.prefix)
-# Not through shared memory: Fast DDS 2.14 crashes now and then (SharedMemChannelResource::release) where participants
-# come and go while others are killed, and who is killed leaves segments and locks behind. demo and view run with it.
-# With LOCALHOST as the range, rmw_fastrtps adds it whatever is configured; so the profile keeps to this host.
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
-os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(Path(__file__).with_name("udp_on_this_host.xml"))
+# Within this host, and not through shared memory, which crashes now and then where participants come and go.
+os.environ.update(over_udp({"ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}, Path(os.devnull)))
 
 ROOT = Path(__file__).resolve().parents[2]
 _AT_ONCE = 1000  # messages of one topic
