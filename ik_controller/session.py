@@ -331,6 +331,7 @@ class Session:
             *[("target_twist", twist_message(0, model.base_frame, np.full(6, 1e-3 * k))) for k in (1, 2, 3)],
             ("target_pose", pose_message(0, model.base_frame, pin.SE3(pose.rotation, pose.translation + 0.5))),
             ("target_pose", pose_message(0, model.base_frame, model.forward(q + 0.2))),
+            ("target_pose", pose_message(1 + 40 * self.period, model.base_frame, pose)),  # on the way until it is due
             ("target_joints", state),
         )
         now = 1

@@ -37,8 +37,5 @@ def over_udp(environment: Mapping[str, str], folder: Path) -> dict[str, str]:
     if environment.get("ROS_STATIC_PEERS"):
         return {}
     # In this range rmw_fastrtps adds shared memory whatever is set; so the profile keeps to this host instead.
-    return {
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
-        "ROS_LOCALHOST_ONLY": "0",
-        "FASTRTPS_DEFAULT_PROFILES_FILE": str(_PROFILE),
-    }
+    changes = {"ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT", "FASTRTPS_DEFAULT_PROFILES_FILE": str(_PROFILE)}
+    return {**changes, "ROS_LOCALHOST_ONLY": "0"} if environment.get("ROS_LOCALHOST_ONLY") == "1" else changes
