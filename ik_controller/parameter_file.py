@@ -20,7 +20,8 @@ def values_in(path: str | Path, node: str | None = None) -> dict[str, Any]:
     """Return the names and values in a parameter file for `node`, its full name with namespace.
 
     `node` None is for files that are of one node: the only one that is fully named, or all in wildcards alone.
-    Raises ParameterError: not readable, not YAML, no parameters for this node, or of several nodes and none is named.
+    ROS's own are left out, as `ros2 param dump` writes them too. Raises ParameterError: not readable, not YAML, no
+    parameters for this node, or of several nodes and none is named.
     """
     content = _load(path)
     sections = list(_sections(content))
@@ -38,12 +39,17 @@ def values_in(path: str | Path, node: str | None = None) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for name, parameters in sections:
         if _fits(name, node):
-            values.update(_flat(parameters))
+            values.update((name, value) for name, value in _flat(parameters) if not is_ros_own(name))
     if not values and node:
         raise ParameterError(
             f"parameter file '{path}' has no parameters for {node}; it has: {choices(n for n, _ in sections)}"
         )
     return values
+
+
+def is_ros_own(name: str) -> bool:
+    """Tell whether a parameter is one that ROS gives every node."""
+    return name in ("use_sim_time", "start_type_description_service") or name.startswith("qos_overrides.")
 
 
 def read_yaml(path: str | Path, what: str) -> Any:

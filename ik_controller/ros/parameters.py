@@ -10,6 +10,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from ik_controller.errors import IkControllerError
+from ik_controller.parameter_file import is_ros_own
 from ik_controller.parameters import ControllerParameters, specs
 from ik_controller.robots import with_bundled
 
@@ -21,9 +22,9 @@ def declare(node: Node) -> ControllerParameters:
     """
     known = {spec.name: spec for spec in specs()}
     given = {
-        name: _plain(parameter.value)
+        name: _given(parameter.value, known[name].default if name in known else None)
         for name, parameter in node._parameter_overrides.items()
-        if name in known or not _foreign(name)
+        if name in known or not is_ros_own(name)
     }
     parameters = with_bundled(given)
     for spec in known.values():
@@ -63,9 +64,9 @@ def on_change(node: Node, accept: Callable[[dict[str, Any]], None]) -> None:
     node.add_on_set_parameters_callback(callback)
 
 
-def _foreign(name: str) -> bool:
-    """Say whether a parameter is ROS's own."""
-    return name in ("use_sim_time", "start_type_description_service") or name.startswith("qos_overrides.")
+def _given(value: Any, default: Any) -> Any:
+    """Return the value of a parameter that a file or an argument gives; ROS reads an empty list there as no value."""
+    return [] if value is None and isinstance(default, tuple) else _plain(value)
 
 
 def _plain(value: Any) -> Any:

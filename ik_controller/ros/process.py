@@ -28,7 +28,7 @@ def arms() -> list[tuple[str, str]]:
     given = probe._parameter_overrides.get("arms")
     namespace, name = probe.get_namespace(), probe.get_name()
     probe.destroy_node()
-    if given is None:
+    if given is None or given.value is None:  # as ROS reads an empty list
         return [(namespace, name)]
     names = given.value
     if not isinstance(names, (list, tuple)) or not all(isinstance(item, str) and item.strip("/") for item in names):
