@@ -44,7 +44,8 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             "view",
             default_value="false",
-            description="Serve the live page too (true or false); the targets are then repeated until Ctrl-C.",
+            choices=["true", "false"],
+            description="Serve the live page too; the targets are then repeated until Ctrl-C.",
         ),
         DeclareLaunchArgument("port", default_value="8080", description="Port of the live page on this machine."),
     ]
@@ -67,4 +68,5 @@ def generate_launch_description() -> LaunchDescription:
     end = RegisterEventHandler(
         OnProcessExit(target_action=once, on_exit=[EmitEvent(event=Shutdown(reason="all targets sent"))])
     )
-    return LaunchDescription([*arguments, end, arm, node, once, again, page])
+    # The node first: an argument that it does not take ends the launch, which leaves behind what runs already.
+    return LaunchDescription([*arguments, end, node, arm, once, again, page])

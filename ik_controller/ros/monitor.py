@@ -23,7 +23,7 @@ from ik_controller.session import Session
 DIAGNOSTIC_STATUS = "diagnostic_msgs/msg/DiagnosticStatus"
 DIAGNOSTIC_ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 
-_RECENT = 1_000_000_000  # [ns] that a rejected message stays in the sentence
+_RECENT = 5_000_000_000  # [ns] that what happened once is told: `ros2 topic echo` takes a second to start
 _WINDOW = 1000  # cycles that the period's percentiles are taken over
 
 
@@ -108,6 +108,7 @@ class Monitor:
         self._timing = Timing(session.period)
         self._second = round(1e9 / session.period)  # cycles in a second
         self._rejected_at: int | None = None
+        self._held_up = 0, 0  # when [ns], and for how long
         self._missed = self._missed_before = 0  # in the last whole second; in all at its end
 
     def cycle(self, index: int, now: int, late: int) -> None:
@@ -120,6 +121,10 @@ class Monitor:
     def rejected(self, now: int) -> None:
         """Note that a message was rejected."""
         self._rejected_at = now
+
+    def held_up(self, now: int, length: int) -> None:
+        """Note that the process stood still for a time [ns]."""
+        self._held_up = now, length
 
     def glance(self) -> tuple[Any, ...]:
         """Return what a new status is sent at once for when it changes."""
@@ -151,6 +156,10 @@ class Monitor:
         for reason, sentence in self._notes():
             reasons.append(reason)
             sentences.append(sentence)
+        when, length = self._held_up
+        if 0 < now - when < _RECENT and length:
+            reasons.append("held up")
+            sentences.append(f"held up for {length * 1e-9:.2f} s and started again from the measured position")
         if self._missed > 0.01 * self._second:
             reasons.append("late")
             sentences.append(f"{self._missed} cycles of the last second began late")

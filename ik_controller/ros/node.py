@@ -321,7 +321,7 @@ class ControllerNode(LifecycleNode):  # type: ignore[misc]
         if not result.successful:
             response.message = result.reason
         elif not request.data:
-            response.message = "sealing the bag"
+            response.message = "nothing was being recorded" if before is None else "sealing the bag"
         elif self.runner is None:
             response.message = "recording from the activation on"
         else:

@@ -77,7 +77,7 @@ REASONS: dict[str, Reason] = {
     ),
     # what is amiss around it
     "rejected": Reason(
-        WARN, "A message was not usable within the last second; the message says which and why.", "Correct the sender."
+        WARN, "A message was not usable in the last seconds; the message says which and why.", "Correct the sender."
     ),
     "publishers": Reason(
         WARN, "An input has more than one publisher; they fight over the arm.", "Stop all but one; `second_publisher`."
@@ -89,6 +89,12 @@ REASONS: dict[str, Reason] = {
         WARN, "A trajectory has ended away from its goal.", "Slower trajectories, within reach; `goal_time`."
     ),
     "clock": Reason(WARN, "use_sim_time, and /clock stands or is not there.", "Let the simulation run."),
+    "held up": Reason(
+        WARN,
+        "In the last seconds the process stood still for 100 ms or more: the arm has begun again from its measured "
+        "position, without a target.",
+        "Give the process more of the machine; targets are taken as ever, a trajectory is to be sent again.",
+    ),
     "late": Reason(
         WARN,
         "More than one cycle in a hundred of the last second began after the next was due.",

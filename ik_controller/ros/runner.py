@@ -221,6 +221,8 @@ class Runner:
 
     def _on_stall(self, skipped: int) -> None:
         self._logger.error(f"the process was held up for {skipped} cycles: starting again from the measured position")
+        length = skipped * self.session.period
+        self.monitor.held_up(self._now + length, length)
         self.request(do="reset")
 
     def _on_jump(self, now: int) -> None:

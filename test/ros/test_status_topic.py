@@ -364,6 +364,14 @@ def _(rig: Rig) -> Iterator[tuple[str, str]]:
     yield "the simulated time stands still", "bystander"
 
 
+@provokes("held up")
+def _(rig: Rig) -> Iterator[tuple[str, str]]:
+    rig.node.send(signal.SIGSTOP)
+    time.sleep(0.3)
+    rig.node.send(signal.SIGCONT)
+    yield "s and started again from the measured position", "status"
+
+
 @provokes("late")
 def _(rig: Rig) -> Iterator[tuple[str, str]]:
     """A process that is stopped for a moment, again and again, begins its cycles late."""
