@@ -59,7 +59,8 @@ def bag(live: Rig) -> Iterator[Any]:
     assert folder.is_dir()
 
     def ended() -> Path:
-        assert live.call("record", False).success
+        assert live.call("record", False).message == "sealing the bag"
+        assert live.call("record", False).message == "nothing was being recorded"
         return folder
 
     yield ended
