@@ -27,6 +27,8 @@ HELP = "measure step, replay and node, each beside a yardstick on this machine"
 _BATCH = 20  # calls between two looks at the clock
 _ROUNDS = 150
 _WINDOWS = 5
+_PATIENCE = 60.0  # [s] for the node to start
+_GROWTH = 10_000  # bytes in half a second
 _TICKS = os.sysconf("SC_CLK_TCK")
 
 
@@ -251,7 +253,8 @@ def _node(seconds: float) -> list[dict[str, Any]]:
     with tempfile.TemporaryDirectory() as folder:
         beside = {name: ["ik_controller.ros.baseline", name] for name in ("relay", "listen", "sleep")}
         with Graph({**run_of_node(folder, record=True), **beside}) as graph:
-            time.sleep(6.0)  # until all have started and found each other
+            _until_recording(Path(folder))
+            time.sleep(4.0)  # until the others have started and found each other too
             shares = []
             for _ in range(_WINDOWS):  # the machine's speed drifts: the ratio is taken window by window
                 before = {name: graph.processor_time(name) for name in graph.processes}
@@ -324,6 +327,18 @@ def _targets() -> Path:
     from ik_controller.share import bag_folder
 
     return bag_folder("panda_figure_eight")
+
+
+def _until_recording(folder: Path) -> None:
+    """Wait until a bag in the folder grows as fast as it does with a record of each cycle."""
+    deadline, before = time.monotonic() + _PATIENCE, math.inf
+    while time.monotonic() < deadline:
+        size = sum(file.stat().st_size for file in folder.rglob("*.mcap"))
+        if size - before > _GROWTH:
+            return
+        before = size
+        time.sleep(0.5)
+    raise IkControllerError(f"the node recorded nothing in {_PATIENCE:.0f} s: is rclpy installed?")
 
 
 def _recorded_in(folder: Path) -> Path:
