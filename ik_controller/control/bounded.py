@@ -97,8 +97,7 @@ def bounded_velocity(
     if not solved:
         for j in range(n):
             ways[0, j], ways[1, j] = -aim[j], before[j]
-        part = scratch(n)
-        most = _most_at_ease(ease, before, null, limit, step, part)
+        most = _most_at_ease(ease, before, null, limit, step)
         if motion is not None:
             fastest, turn = math.inf, _turning(before, null, limit, motion, scratch(n))
             if math.isfinite(motion[2].min()):
@@ -108,7 +107,7 @@ def bounded_velocity(
                 )
                 fastest = _SPEED_SHARE * fastest if solved else 0.0
             if ahead:
-                most = min(most, _most_ahead(aim, before, turn, null, limit, step, motion, fastest, part))
+                most = min(most, _most_ahead(aim, before, turn, null, limit, step, motion, fastest))
         solved, scale = _on_path(aim, ways, omega, 1, most, 0.0, free, low, high, limit, rows, row_bounds, tolerance, y)
     # With jerk limits the tool must perhaps go on speeding up, and must not slow down too hard to land at rest.
     for attempt in range(3 if jerky else 1):
@@ -158,8 +157,8 @@ def _weigh(null: Array, secondary: Array, weights: Array, limit: Array) -> None:
 
 
 @compiled
-def _take_moving_part(vector: Array, null: Array, part: Array) -> None:
-    """Write what of a vector (n,) moves the tool: the rest of it beside `null` (p, n)."""
+def _moving_part(vector: Array, null: Array, part: Array) -> Array:
+    """Write what of a vector (n,) moves the tool, the rest of it beside `null` (p, n), to `part` and return that."""
     n = vector.shape[0]
     for j in range(n):
         part[j] = vector[j]
@@ -169,18 +168,18 @@ def _take_moving_part(vector: Array, null: Array, part: Array) -> None:
             total += null[i, j] * vector[j]
         for j in range(n):
             part[j] -= total * null[i, j]
+    return part
 
 
 @compiled
-def _most_at_ease(aim: Array, last: Array, null: Array, limit: Array, step: Array, part: Array) -> float:
+def _most_at_ease(aim: Array, last: Array, null: Array, limit: Array, step: Array) -> float:
     """Return the largest s ≤ 1 that the tool can be brought to in this cycle without help from the null space.
 
-    `last` b (n,): the part of the last velocity that moved the tool; a, the same `part` (n,) of `aim` (n,), is written
-    here. With s_last = a·b/a·a the joints change by s aim − b − s_last (aim − a), each by its `step` (n,) at most; 1
-    where no s does that.
+    `last` b (n,): the part of the last velocity that moved the tool; a, the same part of `aim` (n,). With s_last =
+    a·b/a·a the joints change by s aim − b − s_last (aim − a), each by its `step` (n,) at most; 1 where no s does that.
     """
     n, along, square = aim.shape[0], 0.0, 0.0
-    _take_moving_part(aim, null, part)
+    part = _moving_part(aim, null, scratch(n))
     for j in range(n):
         along += part[j] * last[j]
         square += part[j] * part[j]
@@ -214,15 +213,7 @@ def _turning(last: Array, null: Array, limit: Array, motion: Array, turn: Array)
 
 @compiled
 def _most_ahead(
-    aim: Array,
-    last: Array,
-    turn: Array,
-    null: Array,
-    limit: Array,
-    step: Array,
-    motion: Array,
-    fastest: float,
-    part: Array,
+    aim: Array, last: Array, turn: Array, null: Array, limit: Array, step: Array, motion: Array, fastest: float
 ) -> float:
     """Return the largest s after which the joints can go on along the path, as far as this cycle shows it.
 
@@ -232,7 +223,7 @@ def _most_ahead(
     `aim`: so none lets go of its acceleration faster than the others can, before s is at `fastest`. Arrays as above.
     """
     n, along, square, change = aim.shape[0], 0.0, 0.0, 0.0
-    _take_moving_part(aim, null, part)
+    part = _moving_part(aim, null, scratch(n))
     unit, hardest, curve = math.inf, math.inf, 0.0
     for j in range(n):
         along += part[j] * last[j]

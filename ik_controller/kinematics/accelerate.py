@@ -35,7 +35,7 @@ def _cache_folder() -> str:
     digest = hashlib.sha256()
     for file in sorted(package.glob("*/*.py")):
         text = file.read_bytes()
-        if b"@compiled" in text or b"@inlined" in text:
+        if b"@compiled" in text or b"extending.overload" in text:
             digest.update(text)
     given = numba.config.CACHE_DIR
     parent = Path(given) if given else package / "__pycache__"

@@ -253,7 +253,7 @@ def _node(seconds: float) -> list[dict[str, Any]]:
     with tempfile.TemporaryDirectory() as folder:
         beside = {name: ["ik_controller.ros.baseline", name] for name in ("relay", "listen", "sleep")}
         with Graph({**run_of_node(folder, record=True), **beside}) as graph:
-            _until_recording(Path(folder))
+            bag = _recording_in(Path(folder))
             time.sleep(4.0)  # until the others have started and found each other too
             shares = []
             for _ in range(_WINDOWS):  # the machine's speed drifts: the ratio is taken window by window
@@ -261,7 +261,6 @@ def _node(seconds: float) -> list[dict[str, Any]]:
                 time.sleep(seconds / _WINDOWS)
                 shares.append({name: graph.processor_time(name) - before[name] for name in graph.processes})
             outputs = {name: graph.end(name) for name in ("stream", "node", "relay", "listen", "sleep", "sim")}
-        bag = _recorded_in(Path(folder))
         node_p99 = _node_period(bag, seconds)
         again = _replay_of(bag, "replay of that run, a cycle")
     sleep_p99 = json.loads(outputs["sleep"])["period_p99_us"]
@@ -329,23 +328,17 @@ def _targets() -> Path:
     return bag_folder("panda_figure_eight")
 
 
-def _until_recording(folder: Path) -> None:
-    """Wait until a bag in the folder grows as fast as it does with a record of each cycle."""
+def _recording_in(folder: Path) -> Path:
+    """Return the bag in a folder, once it grows as fast as it does with a record of each cycle."""
     deadline, before = time.monotonic() + _PATIENCE, math.inf
     while time.monotonic() < deadline:
-        size = sum(file.stat().st_size for file in folder.rglob("*.mcap"))
+        files = list(folder.rglob("*.mcap"))
+        size = sum(file.stat().st_size for file in files)
         if size - before > _GROWTH:
-            return
+            return files[0].parent
         before = size
         time.sleep(0.5)
     raise IkControllerError(f"the node recorded nothing in {_PATIENCE:.0f} s: is rclpy installed?")
-
-
-def _recorded_in(folder: Path) -> Path:
-    bags = sorted(path for path in folder.iterdir() if path.is_dir())
-    if not bags:
-        raise IkControllerError("the node recorded nothing: is rclpy installed?")
-    return bags[0]
 
 
 def _node_period(path: Path, seconds: float) -> float:
